@@ -1,0 +1,1 @@
+"""Arrays in, arrays out: rotations, preintegration, Kalman algebra, consistency. Knows nothing of logs or settings."""

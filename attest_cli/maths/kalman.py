@@ -1,0 +1,185 @@
+r"""Kalman algebra on a chain of error states, free of any sensor: update, and what every smoother needs.
+
+A forward filter leaves a *chain*: with ``e_k`` the error about the predicted and ``d_k`` about the updated estimate,
+
+.. math:: e_{k+1}=\Phi_k d_k+w_k,\quad w_k\sim N(0,Q_k),\qquad e_k=\Delta x_k\oplus d_k\simeq\Delta x_k+J_k^{-1}d_k,
+
+where the first ``rotations`` states compose as rotation vectors and :math:`J_k=\mathrm{blkdiag}(J_r(\Delta x_\theta),I)` (a
+plain Euclidean filter has ``rotations = 0`` and ``J = I``). In these coordinates the run is exactly linear and Gaussian, so
+RTS and Fraser-Potter agree to rounding also after iterated updates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import rotation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """What a forward filter leaves behind (n nodes, s states).
+
+    ``P_pred``, ``P`` (n, s, s) before and after the updates; ``Phi``, ``Q`` (n - 1, s, s) from node k to k + 1;
+    ``dx`` (n, s) corrections applied at the nodes; ``info`` (n, s, s) and ``vec`` (n, s) the measurement information
+    ``H' R^-1 H`` and ``H' R^-1 r`` about the updated estimate; ``rotations`` leading states that are a rotation vector.
+    """
+
+    P_pred: Array
+    P: Array
+    Phi: Array
+    Q: Array
+    dx: Array
+    info: Array
+    vec: Array
+    rotations: int
+
+    def reset_jacobians(self) -> tuple[Array, Array]:
+        """Return ``J`` and its inverse (n, s, s), ``d = J (e - dx)`` to first order."""
+        n, s = self.dx.shape
+        J, J_inv = np.tile(np.eye(s), (n, 1, 1)), np.tile(np.eye(s), (n, 1, 1))
+        if self.rotations:
+            r = slice(0, self.rotations)
+            J[:, r, r] = rotation.right_jacobian(self.dx[:, r])
+            J_inv[:, r, r] = rotation.inverse_right_jacobian(self.dx[:, r])
+        return J, J_inv
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Smoothed errors about the filter's updated estimates: mean ``d`` (n, s), covariance ``P`` (n, s, s), and the lag-one
+    covariance ``cross`` (n - 1, s, s) = Cov(d_k, d_{k+1})."""
+
+    d: Array
+    P: Array
+    cross: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """Outcome of a measurement update: ``dx`` (s,), ``P`` (s, s) about the updated estimate, ``info``, ``vec`` as in
+    :class:`Chain`, innovation ``nu`` (m,) and its covariance ``S`` (m, m), both at the final linearisation."""
+
+    dx: Array
+    P: Array
+    info: Array
+    vec: Array
+    nu: Array
+    S: Array
+
+
+def symmetric(P: Array) -> Array:
+    """Return ``(P + P') / 2``."""
+    return 0.5 * (P + P.swapaxes(-1, -2))
+
+
+def iterated_update(
+    P: Array, linearise: Callable[[Array], tuple[Array, Array]], R: Array, rotations: int, max_iterations: int = 8
+) -> Update:
+    r"""Update with the maximum a posteriori estimate: Gauss-Newton on the update, Joseph form, reset Jacobian.
+
+    .. math:: d_{i+1}=K_i(r_i+H_iJ_id_i),\qquad K_i=PH^T(HPH^T+R)^{-1},\ H=H_iJ_i,\ J_i=\mathrm{blkdiag}(J_r(d_{i,\theta}),I)
+
+    Parameters
+    ----------
+    P : (s, s) prior covariance
+    linearise : ``d -> (r, H)``, residual (m,) and Jacobian (m, s) at the prior estimate corrected by ``d``
+    R : (m, m) measurement noise
+    rotations : leading states that compose as a rotation vector
+    max_iterations : 1 gives the plain extended filter
+
+    Notes
+    -----
+    Ends when ``|d_{i+1} - d_i| < 1e-10``. Source: paper eqs 25-30 in the form of the project's note, section 3.
+    """
+    s = P.shape[0]
+    d, J = np.zeros(s), np.eye(s)
+    r, local = linearise(d)
+    for _ in range(max_iterations):
+        H = local @ J
+        PHt = P @ H.T
+        S = H @ PHt + R
+        nu = r + H @ d
+        step = PHt @ np.linalg.solve(S, nu) - d
+        d = d + step
+        if rotations:
+            J[:rotations, :rotations] = rotation.right_jacobian(d[:rotations])
+        if max_iterations > 1:
+            r, local = linearise(d)
+        if float(np.abs(step).max()) < 1e-10:
+            break
+    K = np.linalg.solve(S, PHt.T).T
+    A = np.eye(s) - K @ H
+    P_post = J @ (A @ P @ A.T + K @ R @ K.T) @ J.T
+    H_d = np.linalg.solve(J.T, H.T).T  # Jacobian to errors about the updated estimate
+    weighted = np.linalg.solve(R, np.column_stack([H_d, nu - H @ d]))
+    return Update(d, symmetric(P_post), symmetric(H_d.T @ weighted[:, :s]), H_d.T @ weighted[:, s], nu, S)
+
+
+def rts(chain: Chain) -> Errors:
+    r"""Rauch-Tung-Striebel: :math:`d_k=C_k e_{k+1}`, :math:`C_k=P_k\Phi_k^TP_{k+1|k}^{-1}`,
+    :math:`P^s_k=P_k+C_k(P^e_{k+1}-P_{k+1|k})C_k^T` with :math:`P^e=J^{-1}P^sJ^{-T}`."""
+    C = gains(chain)
+    _, J_inv = chain.reset_jacobians()
+    d, P = np.zeros_like(chain.dx), chain.P.copy()
+    moved = np.any(chain.dx != 0.0, axis=1)
+    for k in range(len(C) - 1, -1, -1):
+        e, Pe = d[k + 1], P[k + 1]
+        if moved[k + 1]:
+            e = chain.dx[k + 1] + J_inv[k + 1] @ e
+            Pe = J_inv[k + 1] @ Pe @ J_inv[k + 1].T
+        d[k] = C[k] @ e
+        P_k = chain.P[k] + C[k] @ (Pe - chain.P_pred[k + 1]) @ C[k].T
+        P[k] = 0.5 * (P_k + P_k.T)
+    return Errors(d, P, _cross(C, J_inv, P))
+
+
+def information(chain: Chain) -> tuple[Array, Array]:
+    r"""Backward information filter: ``Y`` (n, s, s), ``y`` (n, s) of all measurements *after* node k, about ``d_k``.
+
+    Per node, backwards: absorb :math:`(H^TR^{-1}H,H^TR^{-1}r)`, move to the predicted estimate
+    :math:`Y\leftarrow J^TYJ,\ y\leftarrow J^Ty+Y\Delta x`, step back :math:`Y\leftarrow\Phi^T(I+YQ)^{-1}Y\Phi`.
+    Source: Fraser & Potter 1969, in the note's form 4(b); neither ``Y`` nor ``P`` is inverted.
+    """
+    n, s = chain.dx.shape
+    Y, y = np.zeros((n, s, s)), np.zeros((n, s))
+    J, _ = chain.reset_jacobians()
+    moved = np.any(chain.dx != 0.0, axis=1)
+    eye = np.eye(s)
+    for k in range(n - 1, 0, -1):
+        Yk, yk = Y[k], y[k]
+        if moved[k]:
+            yk = J[k].T @ (yk + chain.vec[k])
+            Yk = J[k].T @ (Yk + chain.info[k]) @ J[k]
+            yk = yk + Yk @ chain.dx[k]
+        right = np.empty((s, s + 1))
+        right[:, :s], right[:, s] = Yk @ chain.Phi[k - 1], yk
+        back = chain.Phi[k - 1].T @ np.linalg.solve(eye + Yk @ chain.Q[k - 1], right)
+        Y[k - 1] = 0.5 * (back[:, :s] + back[:, :s].T)
+        y[k - 1] = back[:, s]
+    return Y, y
+
+
+def fuse(chain: Chain, Y: Array, y: Array) -> Errors:
+    """Fuse the forward posterior with the backward information: ``P_s = (I + P Y)^-1 P``, ``d = P_s y`` (paper eq 40, exact)."""
+    n, s = chain.dx.shape
+    P = symmetric(np.linalg.solve(np.eye(s) + chain.P @ Y, chain.P))
+    _, J_inv = chain.reset_jacobians()
+    return Errors(np.einsum("kij,kj->ki", P, y), P, _cross(gains(chain), J_inv, P))
+
+
+def gains(chain: Chain) -> Array:
+    """Return the smoother gains ``C`` (n - 1, s, s) = ``P Phi' P_pred^-1``."""
+    PhiP = chain.Phi @ chain.P[:-1]
+    return np.asarray(np.linalg.solve(chain.P_pred[1:], PhiP).swapaxes(1, 2))
+
+
+def _cross(C: Array, J_inv: Array, P: Array) -> Array:
+    """Cov(d_k, d_{k+1}) = C_k Cov(e, d)_{k+1} = C_k J^-1 P_{k+1}: the error left after node k + 1 is known."""
+    return np.asarray(C @ J_inv[1:] @ P[1:])

@@ -1,0 +1,201 @@
+"""Rotations: Hamilton quaternions (w, x, y, z), rotation vectors and matrices, over any leading axes.
+
+``Exp`` maps a rotation vector (rad) to a rotation, ``Log`` back; ``R(q)`` takes body to navigation vectors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SMALL = 0.3  # rad: below it the closed forms lose digits and their series are exact to rounding
+
+
+def series(x2: Array, first: float, ratios: tuple[tuple[int, int], ...]) -> Array:
+    """Evaluate the nested alternating series ``first * (1 - x2/(a b) (1 - x2/(c d) (...)))`` for ``x2 = x**2``."""
+    total = np.ones_like(x2)
+    for a, b in reversed(ratios):
+        total = 1.0 - x2 / (a * b) * total
+    return first * total
+
+
+def sine_ratios(x2: Array) -> tuple[Array, Array, Array]:
+    r"""Return :math:`\sin x/x`, :math:`(1-\cos x)/x^2` and :math:`(x-\sin x)/x^3` of ``x2 = x**2``, exact near zero.
+
+    Each is accurate to a few units of rounding: series below 0.3 rad, closed form above.
+    """
+    small = x2 < SMALL * SMALL
+    safe = np.where(small, 1.0, x2)
+    x = np.sqrt(safe)
+    half = np.sin(0.5 * x)
+    a = np.where(small, series(x2, 1.0, ((2, 3), (4, 5), (6, 7), (8, 9), (10, 11), (12, 13))), np.sin(x) / x)
+    b = np.where(small, series(x2, 0.5, ((3, 4), (5, 6), (7, 8), (9, 10), (11, 12), (13, 14))), 2.0 * half * half / safe)
+    c = np.where(
+        small, series(x2, 1 / 6, ((4, 5), (6, 7), (8, 9), (10, 11), (12, 13), (14, 15))), (x - np.sin(x)) / (safe * x)
+    )
+    return a, b, c
+
+
+def skew(v: Array) -> Array:
+    """Return ``[v x]`` (..., 3, 3) of ``v`` (..., 3), so that ``skew(v) @ u = cross(v, u)``."""
+    m = np.zeros((*v.shape, 3))
+    m[..., 0, 1], m[..., 0, 2], m[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    m[..., 1, 0], m[..., 2, 0], m[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return m
+
+
+def exp_quaternion(v: Array) -> Array:
+    """Return the unit quaternion (..., 4) of the rotation vector ``v`` (..., 3), rad."""
+    half = 0.5 * v
+    x2 = np.sum(half * half, axis=-1)
+    ratio = sine_ratios(x2)[0]
+    return np.concatenate([np.cos(np.sqrt(x2))[..., None], ratio[..., None] * half], axis=-1)
+
+
+def log_quaternion(q: Array) -> Array:
+    """Return the rotation vector (..., 3), norm at most pi, of the unit quaternion ``q`` (..., 4)."""
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1)
+    angle = 2.0 * np.arctan2(sine, q[..., 0])
+    factor = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 2.0)
+    return factor[..., None] * q[..., 1:]
+
+
+def multiply(p: Array, q: Array) -> Array:
+    """Return the Hamilton product ``p q``: ``R(p q) = R(p) R(q)``."""
+    pw, px, py, pz = np.moveaxis(p, -1, 0)
+    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """Return the inverse rotation of a unit quaternion (..., 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def normalise(q: Array) -> Array:
+    """Return ``q / |q|``."""
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def matrix(q: Array) -> Array:
+    """Return ``R`` (..., 3, 3) of the unit quaternion ``q`` (..., 4): ``v_n = R @ v_b`` for ``q_nb``."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    m = np.empty((*q.shape[:-1], 3, 3))
+    m[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    m[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    m[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    m[..., 0, 1], m[..., 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    m[..., 0, 2], m[..., 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    m[..., 1, 2], m[..., 2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    return m
+
+
+def from_matrix(m: Array) -> Array:
+    """Return the unit quaternion (..., 4), w >= 0, of rotation matrices (..., 3, 3).
+
+    Source: Bar-Itzhack, J. Guid. Control Dyn. 23(6), 2000: the dominant eigenvector of K, here read off the largest of
+    the four squared components, which never divides by a small number.
+    """
+    d = np.einsum("...ii->...i", m)
+    trace = np.sum(d, axis=-1)
+    squares = np.stack([1 + trace, *(1 + 2 * d[..., i] - trace for i in range(3))], axis=-1)  # 4 q_i^2
+    off = {(0, 1): m[..., 2, 1] - m[..., 1, 2], (0, 2): m[..., 0, 2] - m[..., 2, 0], (0, 3): m[..., 1, 0] - m[..., 0, 1]}
+    off |= {(1, 2): m[..., 0, 1] + m[..., 1, 0], (1, 3): m[..., 0, 2] + m[..., 2, 0], (2, 3): m[..., 1, 2] + m[..., 2, 1]}
+    rows = np.stack(
+        [np.stack([squares[..., i] if i == j else off[min(i, j), max(i, j)] for j in range(4)], axis=-1) for i in range(4)],
+        axis=-2,
+    )
+    best = np.argmax(squares, axis=-1)
+    q = normalise(np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :])
+    return np.where(q[..., :1] < 0.0, -q, q)
+
+
+def right_jacobian(v: Array) -> Array:
+    r"""Return :math:`J_r(v)=I-\frac{1-\cos x}{x^2}[v\times]+\frac{x-\sin x}{x^3}[v\times]^2`, ``x = |v|``.
+
+    ``Exp(v + e) = Exp(v) Exp(J_r(v) e)`` to first order in ``e``; :math:`\int_0^1 Exp(-sv)\,ds = J_r(v)`.
+    """
+    _, b, c = sine_ratios(np.sum(v * v, axis=-1))
+    s = skew(v)
+    return np.eye(3) - b[..., None, None] * s + c[..., None, None] * (s @ s)
+
+
+def inverse_right_jacobian(v: Array) -> Array:
+    r"""Return :math:`J_r(v)^{-1}=I+\frac12[v\times]+\frac{1-\frac{x}{2}\cot\frac x2}{x^2}[v\times]^2`, ``|v| < 2 pi``."""
+    x2 = np.sum(v * v, axis=-1)
+    a, b, _ = sine_ratios(x2)
+    small = x2 < 1e-4
+    factor = np.where(small, 1 / 12 + x2 / 720, (1.0 - 0.5 * a / b) / np.where(small, 1.0, x2))
+    s = skew(v)
+    return np.eye(3) + 0.5 * s + factor[..., None, None] * (s @ s)
+
+
+def compose(u: Array, v: Array) -> Array:
+    """Return ``Log(Exp(u) Exp(v))``."""
+    return log_quaternion(multiply(exp_quaternion(u), exp_quaternion(v)))
+
+
+def continuous(q: Array) -> Array:
+    """Return the quaternions (n, 4) with signs chosen so that neighbours have a positive scalar product; the first has w >= 0."""
+    flips = np.sign(np.sum(q[1:] * q[:-1], axis=1))
+    flips[flips == 0.0] = 1.0
+    start = 1.0 if q[0, 0] >= 0.0 else -1.0
+    return q * (start * np.concatenate([[1.0], np.cumprod(flips)]))[:, None]
+
+
+def roll_pitch_yaw(q: Array) -> Array:
+    """Return fixed-axis x-y-z angles (..., 3), rad (REP-103): ``R = Rz(yaw) Ry(pitch) Rx(roll)``."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def wrap(angle: Array) -> Array:
+    """Return the angle, rad, brought into [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def mean_direction_rotation(body: Array, reference: Array, weight: Array) -> Array:
+    r"""Solve Wahba's problem: the ``R`` that minimises :math:`\sum_i w_i |n_i - R b_i|^2`.
+
+    Parameters
+    ----------
+    body, reference : (m, 3) unit vectors in body and navigation axes, at least two of them not parallel
+    weight : (m,), 1/sigma^2
+
+    Notes
+    -----
+    SVD solution of Markley, J. Astronaut. Sci. 36(3), 1988; equals Davenport's q-method.
+    """
+    b = np.einsum("m,mi,mj->ij", weight, reference, body)
+    u, _, vt = np.linalg.svd(b)
+    return np.asarray(u @ np.diag([1.0, 1.0, float(np.linalg.det(u) * np.linalg.det(vt))]) @ vt)
+
+
+def chain(turns: Array, start: Array | None = None) -> Array:
+    """Return the running products ``start * turns[0] * ... * turns[k]`` (n, 4); ``start`` defaults to no rotation."""
+    w, x, y, z = (1.0, 0.0, 0.0, 0.0) if start is None else start.tolist()
+    out = []
+    for a, b, c, d in turns.tolist():
+        w, x, y, z = (
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        )
+        out.append((w, x, y, z))
+    return normalise(np.array(out).reshape(-1, 4))

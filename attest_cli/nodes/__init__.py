@@ -1,0 +1,171 @@
+"""Log + segments -> Nodes: the epochs at which the estimate is made, the IMU between them, the measurements at them.
+
+The IMU is handled in bulk; filters and smoothers see only nodes. Between them stands a gyro product (motion), nothing (a
+stop: the attitude is frozen, the gyro measures its bias) or a hole (gap: the attitude may have changed by anything).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..maths import rotation
+from ..maths.propagation import Increments, Steps, preintegrate
+from ..records import Array, Bools, Imu, Ints, Log, Segmentation
+from ..sensors import Measurement
+from ..sensors.zero_rate import ZeroRate
+from ..settings import Settings
+from .noise import Noise, reference_bias
+from .observations import Observation
+
+STOP_NODE_S = 1.0  # nodes of a stop: its attitude is frozen, only the bias walks
+FROZEN_DENSITY = 1e-7  # rad/sqrt(s): keeps the covariance of a frozen attitude regular
+SAME_TIME_S = 1e-6
+GAP_MARGIN = 2.0  # a hole is as lively as the drive, twice over
+
+__all__ = ["Nodes", "build_nodes"]
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Epochs of the estimate.
+
+    ``t`` (n,) s, ``moving`` (n,) False in the used part of a stop; per interval k -> k + 1: ``frozen``, ``gap`` (n - 1,), ``increments``, ``steps`` (IMU steps on the merged
+    grid of samples and nodes); ``sample_step`` (samples - 1,) the step that ends at each IMU sample but the first;
+    ``measurements[i]`` those of node ``measured[i]``, ascending; ``noise``.
+    """
+
+    t: Array
+    moving: Bools
+    frozen: Bools
+    gap: Bools
+    steps: Steps
+    increments: Increments
+    sample_step: Ints
+    measured: Ints
+    measurements: tuple[tuple[Measurement, ...], ...]
+    noise: Noise
+
+    def rebuild(self, bias: Array) -> Nodes:
+        """Return the nodes preintegrated again at ``bias`` (n, 3), rad/s: exact where the estimate moved far."""
+        increments = _increments(self.steps, 0.5 * (bias[1:] + bias[:-1]), self.frozen, self.gap, self.noise)
+        return replace(self, increments=increments)
+
+
+def build_nodes(
+    log: Log, segmentation: Segmentation, observations: list[Observation], noise: Noise, settings: Settings
+) -> Nodes:
+    """Place the nodes, preintegrate the IMU between them and hand each node its measurements."""
+    imu = log.imu
+    stops = [(s.used_start, s.used_end) for s in segmentation.stops]
+    gaps = [(float(a), float(b)) for a, b in log.gaps]
+    t = _grid(imu.t, stops, gaps, np.array([o.t for o in observations]), settings.smoothing.node_spacing_s)
+    middle = 0.5 * (t[1:] + t[:-1])
+    frozen, gap = _inside(middle, stops), _inside(middle, gaps)
+    steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
+    increments = _increments(steps, reference_bias(log, segmentation, middle), frozen, gap, noise)
+    by_node: dict[int, list[Measurement]] = {}
+    for o in observations:
+        node = int(np.argmin(np.abs(t[max(0, (i := int(np.searchsorted(t, o.t))) - 1) : i + 1] - o.t)) + max(0, i - 1))
+        turn = None if o.still or np.all(np.abs(o.times - t[node]) < SAME_TIME_S) else _turns(imu, o.times, t[node], segmentation)
+        by_node.setdefault(node, []).append(Measurement(o.role, o.sensor, node, o.t, o.values, o.noise, turn))
+    if settings.smoothing.zero_rate:
+        for m in _zero_rates(imu, t, frozen, noise):
+            by_node.setdefault(m.node, []).append(m)
+    measured = np.array(sorted(by_node), dtype=np.int64)
+    groups = tuple(tuple(by_node[k]) for k in measured.tolist())
+    return Nodes(t, ~_inside(t, stops), frozen, gap, steps, increments, sample_step, measured, groups, noise)
+
+
+def _grid(t: Array, stops: list[tuple[float, float]], gaps: list[tuple[float, float]], epochs: Array, spacing: float) -> Array:
+    """Return node times: first and last sample, edges of stops and gaps, epochs, and between them at most the spacing."""
+    edges = [e for pair in (*stops, *gaps) for e in pair]
+    must = np.unique(np.clip(np.concatenate([[t[0], t[-1]], edges, epochs]), t[0], t[-1]))
+    must = must[np.concatenate([[True], np.diff(must) > SAME_TIME_S])]
+    if len(must) == 1:
+        return must
+    middle, width = 0.5 * (must[1:] + must[:-1]), np.diff(must)
+    step = np.where(_inside(middle, stops), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, spacing))
+    parts = np.maximum(1, np.ceil(width / step - 1e-9)).astype(np.int64)
+    owner = np.repeat(np.arange(len(parts)), parts)
+    k = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(must[owner] + width[owner] * k / parts[owner], must[-1])
+
+
+def _inside(t: Array, intervals: list[tuple[float, float]]) -> Bools:
+    """Return which times lie inside one of the disjoint, ascending intervals."""
+    if not intervals:
+        return np.zeros(len(t), dtype=np.bool_)
+    start, end = np.array(intervals).T
+    i = np.searchsorted(start, t, side="right") - 1
+    return np.asarray((i >= 0) & (t <= end[np.maximum(i, 0)]))
+
+
+def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
+    """Merge samples and nodes into one grid; rates are linear between samples (``point``) or held over them (``interval``)."""
+    grid = np.unique(np.concatenate([imu.t, t]))
+    sample = np.searchsorted(grid, imu.t)
+    first = np.searchsorted(grid, t)
+    if rule == "point":
+        rate = np.stack([np.interp(grid, imu.t, imu.gyro_b[:, i]) for i in range(3)], axis=1)
+        rate0, rate1 = rate[:-1].copy(), rate[1:].copy()
+    else:
+        rate0 = imu.gyro_b[np.searchsorted(imu.t, grid[1:], side="left")].copy()
+        rate1 = rate0.copy()
+    held = np.repeat(still, np.diff(first))
+    rate0[held], rate1[held] = 0.0, 0.0
+    return Steps(np.diff(grid), rate0, rate1, first), sample[1:] - 1
+
+
+def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, noise: Noise) -> Increments:
+    """Preintegrate; freeze the attitude at stops and let it go in gaps."""
+    inc = preintegrate(steps, bias, noise.n_r, noise.n_w)
+    eye = np.eye(3)
+    held = frozen | gap
+    inc.dq[held] = [1.0, 0.0, 0.0, 0.0]
+    inc.psi[held] = 0.0
+    inc.Phi[held] = np.eye(6)
+    inc.Q[held] = 0.0
+    inc.Q[held, 3:, 3:] = noise.n_w * inc.span[held, None, None] * eye
+    inc.Q[frozen, :3, :3] = FROZEN_DENSITY**2 * inc.span[frozen, None, None] * eye
+    if gap.any():
+        lively = np.sqrt(np.mean(np.sum((0.5 * (steps.rate0 + steps.rate1)) ** 2, axis=1)) / 3)
+        turned = np.minimum(GAP_MARGIN * max(float(lively), 0.05) * inc.span[gap], np.pi)
+        inc.Q[gap, :3, :3] = (turned**2)[:, None, None] * eye
+    return inc
+
+
+def _turns(imu: Imu, times: Array, t_node: float, segmentation: Segmentation) -> Array:
+    """Return the rotations (m, 3, 3) from a node to samples at most a node spacing away, by the rate half-way."""
+    half = 0.5 * (times + t_node)
+    rate = np.stack([np.interp(half, imu.t, imu.gyro_b[:, i]) for i in range(3)], axis=1) - segmentation.bias_b
+    return rotation.matrix(rotation.exp_quaternion(rate * (times - t_node)[:, None]))
+
+
+def _zero_rates(imu: Imu, t: Array, frozen: Bools, noise: Noise) -> list[Measurement]:
+    """Mean rate of disjoint blocks of every stop, each at the node that ends it; short remainders join the block before."""
+    out: list[Measurement] = []
+    at = np.searchsorted(imu.t, t, side="right")
+    k = 0
+    while k < len(frozen):
+        if not frozen[k]:
+            k += 1
+            continue
+        end = k
+        while end < len(frozen) and frozen[end]:
+            end += 1
+        cuts = [k]
+        for j in range(k + 1, end + 1):
+            long_enough = t[j] - t[cuts[-1]] >= 0.5 * STOP_NODE_S and t[end] - t[j] >= 0.5 * STOP_NODE_S
+            if long_enough or j == end:
+                cuts.append(j)
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            rows = imu.gyro_b[at[a] : at[b]]
+            if len(rows):
+                R = noise.n_r / (t[b] - t[a]) * np.eye(3)
+                out.append(Measurement("zero_rate", ZeroRate(), b, float(t[b]), rows.mean(axis=0)[None], R))
+        k = end
+    return out
+
+

@@ -1,0 +1,106 @@
+"""Noise of the IMU: as the settings state it, else from the log's own stops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..records import Array, Log, Segmentation
+from ..settings import Settings
+
+ASSUMED_GYRO_DENSITY = 5e-4  # rad/s/sqrt(Hz), 1.7 deg/sqrt(h): a consumer MEMS gyro; only where a log has no stop
+ASSUMED_ACCEL_DENSITY = 3e-3  # m/s^2/sqrt(Hz), 300 ug/sqrt(Hz)
+ASSUMED_GYRO_WALK = 2e-5  # rad/s^2/sqrt(Hz): a consumer MEMS gyro
+WALK_WEIGHT = 3.0  # the assumption counts like three pairs of stops
+BLOCK_S = 0.5  # block whose mean shows the noise below the sensor's own low-pass
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Densities: gyro rad/s/sqrt(Hz), its bias walk rad/s^2/sqrt(Hz), accelerometer m/s^2/sqrt(Hz); where each is from."""
+
+    gyro_density: float
+    gyro_walk: float
+    accel_density: float
+    sources: Mapping[str, str]
+
+    @property
+    def n_r(self) -> float:
+        return self.gyro_density**2
+
+    @property
+    def n_w(self) -> float:
+        return self.gyro_walk**2
+
+
+def stop_ranges(log: Log, segmentation: Segmentation) -> list[tuple[int, int]]:
+    """Return the IMU samples ``[lo, hi)`` of the used part of each stop."""
+    t = log.imu.t
+    return [(int(np.searchsorted(t, s.used_start)), int(np.searchsorted(t, s.used_end))) for s in segmentation.stops]
+
+
+def density(blocks: list[tuple[Array, float]]) -> float | None:
+    r"""Return the white-noise density of samples at rest, or None where there are too few.
+
+    Largest of :math:`\sigma_A(\tau)\sqrt\tau` (Allan deviation) at one sample and at half a second: a sensor with an
+    internal low-pass looks quieter at one sample than it is.
+    """
+    found = []
+    for tau in (0.0, BLOCK_S):
+        total, weight = 0.0, 0
+        for values, dt in blocks:
+            per = max(1, round(tau / dt))
+            n = len(values) // per
+            if n < 3:
+                continue
+            means = values[: n * per].reshape(n, per, 3).mean(axis=1)
+            total += float(np.sum(np.diff(means, axis=0) ** 2)) / 2.0 * per * dt
+            weight += 3 * (n - 1)
+        if weight >= 30:
+            found.append(np.sqrt(total / weight))
+    return float(max(found)) if found and max(found) > 0.0 else None
+
+
+def bias_walk(means: Array, times: Array, spans: Array, n_r: float) -> float:
+    """Return the bias walk density from the mean rates (k, 3) of stops at ``times`` (k,), tempered by the assumption."""
+    total, weight = WALK_WEIGHT * ASSUMED_GYRO_WALK**2, WALK_WEIGHT
+    if len(means) > 1:
+        excess = np.diff(means, axis=0) ** 2 - (n_r * (1 / spans[1:] + 1 / spans[:-1]))[:, None]
+        total += max(0.0, float(np.sum(excess.mean(axis=1) / np.diff(times))))
+        weight += len(means) - 1
+    return float(np.sqrt(total / weight))
+
+
+def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Noise:
+    """Return the noise of the IMU; each figure from the settings, else from the log's stops, else assumed (and said)."""
+    t, wanted, sources = log.imu.t, settings.imu, {}
+    ranges = [(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
+    dt = [float(np.median(np.diff(t[lo:hi]))) for lo, hi in ranges]
+
+    def pick(name: str, stated: float | None, found: float | None, assumed: float) -> float:
+        sources[name] = "settings" if stated is not None else "log's stops" if found is not None else "assumed"
+        return stated if stated is not None else found if found is not None else assumed
+
+    at_rest = [(log.imu.gyro_b[lo:hi], d) for (lo, hi), d in zip(ranges, dt, strict=True)]
+    gyro = pick("gyro_noise_density", wanted.gyro_noise_density, density(at_rest), ASSUMED_GYRO_DENSITY)
+    pushed = [(log.imu.accel_b[lo:hi], d) for (lo, hi), d in zip(ranges, dt, strict=True)]
+    accel = pick("accel_noise_density", wanted.accel_noise_density, density(pushed), ASSUMED_ACCEL_DENSITY)
+    walk = None
+    if len(ranges) > 1:
+        means = np.array([values.mean(axis=0) for values, _ in at_rest])
+        centre = np.array([0.5 * (t[lo] + t[hi - 1]) for lo, hi in ranges])
+        span = np.array([(hi - lo) * d for (lo, hi), d in zip(ranges, dt, strict=True)])
+        walk = bias_walk(means, centre, span, gyro**2)
+    return Noise(gyro, pick("gyro_random_walk", wanted.gyro_random_walk, walk, ASSUMED_GYRO_WALK), accel, sources)
+
+
+def reference_bias(log: Log, segmentation: Segmentation, at: Array) -> Array:
+    """Return the gyro bias (k, 3) to preintegrate with at times ``at`` (k,): between the mean rates of the stops."""
+    ranges = [(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
+    if not ranges:
+        return np.tile(segmentation.bias_b, (len(at), 1))
+    means = np.array([log.imu.gyro_b[lo:hi].mean(axis=0) for lo, hi in ranges])
+    centre = np.array([0.5 * (log.imu.t[lo] + log.imu.t[hi - 1]) for lo, hi in ranges])
+    return np.stack([np.interp(at, centre, means[:, i]) for i in range(3)], axis=1)

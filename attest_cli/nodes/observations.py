@@ -1,0 +1,209 @@
+"""Which measurements there are, when they count, and how noisy each is: Log + Segments + settings -> observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..maths import rotation
+from ..records import Array, Bools, Fixes, Log, Segmentation, Warn, World
+from ..sensors import Direction, Sensor
+from ..sensors.heading import BodyHeading, FieldHeading
+from ..sensors.orientation import Orientation
+from ..settings import Settings
+from .noise import Noise, stop_ranges
+
+FIELD_CORRELATION_S = 5.0  # a disturbed magnetic field stays disturbed this long in motion (design note, question 1)
+WINDOW_S = 10.0  # accelerometer window that stands in for a stop where a log has none
+STOP_BLOCK_S = 1.0  # samples of a fast sensor at a stop are averaged over this
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Samples of one sensor that make one update at time ``t``; ``still``: taken at a stop, where attitude is frozen."""
+
+    role: str
+    sensor: Sensor
+    t: float
+    times: Array
+    values: Array
+    noise: Array
+    still: bool
+
+
+def at_stop(t: Array, segmentation: Segmentation) -> Bools:
+    """Return which times lie in the used part of a stop."""
+    inside = np.zeros(len(t), dtype=np.bool_)
+    for s in segmentation.stops:
+        inside |= (t >= s.used_start) & (t <= s.used_end)
+    return inside
+
+
+def observe(
+    log: Log, segmentation: Segmentation, world: World, noise: Noise, settings: Settings
+) -> tuple[list[Observation], list[Warn]]:
+    """Return every observation in time order, with what the user should know about sensors that could not be used."""
+    warnings: list[Warn] = []
+    found = gravity_at_stops(log, segmentation, world, noise, settings)
+    if not found:
+        found, warning = gravity_in_windows(log, segmentation, world, settings)
+        warnings.append(warning)
+    policy = settings.smoothing.absolute
+    for role, build in (("sun", _sun), ("compass", _compass), ("orientation", _orientation)):
+        if role in log.fixes:
+            found += build(log.fixes[role], segmentation, world, settings, policy, warnings)
+    if "magnetometer" in log.fixes:
+        found += _magnetometer(log.fixes["magnetometer"], segmentation, world, settings, policy)
+    return sorted(found, key=lambda o: o.t), warnings
+
+
+def gravity_at_stops(
+    log: Log, segmentation: Segmentation, world: World, noise: Noise, settings: Settings
+) -> list[Observation]:
+    """One update per stop: the accelerometer bias is shared by all its samples, so they do not average it away."""
+    out = []
+    for s, (lo, hi) in zip(segmentation.stops, stop_ranges(log, segmentation), strict=True):
+        if hi - lo < 3:
+            continue
+        span = float(log.imu.t[hi - 1] - log.imu.t[lo])
+        variance = (noise.accel_density**2 / span + settings.imu.accel_bias_sigma**2) / world.gravity**2
+        mean = log.imu.accel_b[lo:hi].mean(axis=0)
+        middle = 0.5 * (s.used_start + s.used_end)
+        up = (mean / np.linalg.norm(mean))[None]
+        out.append(Observation("gravity", _up(), middle, np.array([middle]), up, variance * np.eye(2), True))
+    return out
+
+
+def _up() -> Direction:
+    return Direction(np.array([0.0, 0.0, 1.0]))
+
+
+def gravity_in_windows(
+    log: Log, segmentation: Segmentation, world: World, settings: Settings
+) -> tuple[list[Observation], Warn]:
+    r"""Tilt of a log without a stop: specific force, turned by the gyro into the middle of long windows, and averaged.
+
+    The mean acceleration of a window is what speed it gained over its length. Its size is not known: sigma is the larger of
+    the misfit of the mean's norm to gravity and half the change from window to window, doubled because a turn lasts.
+    """
+    t, bias = log.imu.t, segmentation.bias_b
+    count = max(1, int((t[-1] - t[0]) / WINDOW_S))
+    edges = np.linspace(t[0], t[-1], count + 1)
+    means, turns, spans = [], [], []
+    for lo, hi in pairwise(np.searchsorted(t, edges, side="right").tolist()):
+        lo, hi = max(0, lo - 1), max(hi, lo + 1)
+        dt = np.diff(t[lo:hi], prepend=t[lo])
+        steps = rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias) * dt[:, None])
+        q = rotation.chain(steps)  # window start -> sample
+        means.append(np.einsum("mij,mj->i", rotation.matrix(q), log.imu.accel_b[lo:hi]) / (hi - lo))
+        turns.append(rotation.matrix(q[-1]))
+        spans.append((float(t[lo]), float(t[hi - 1])))
+    vectors = np.array(means)
+    misfit = np.linalg.norm(vectors, axis=1) - world.gravity
+    change = np.array([turn.T @ a - b for turn, a, b in zip(turns[:-1], means[:-1], means[1:], strict=True)])
+    sigma = 2.0 * max(float(np.sqrt(np.mean(misfit**2))), 0.5 * float(np.sqrt(np.mean(change**2))) if len(change) else 0.0)
+    sigma = max(sigma, settings.imu.accel_bias_sigma) / world.gravity
+    out = [
+        Observation("gravity", _up(), a, np.array([a]), (v / np.linalg.norm(v))[None], sigma**2 * np.eye(2), False)
+        for (a, _), v in zip(spans, vectors, strict=True)
+    ]
+    deg = np.degrees(sigma)
+    return out, Warn(
+        "tilt-from-motion",
+        f"no stop: tilt comes from the accelerometer over {WINDOW_S:.0f} s windows, {deg:.1f} deg each",
+        "stop for 5 s or more at the start and the end of a drive",
+    )
+
+
+def _sun(
+    fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, warnings: list[Warn]
+) -> list[Observation]:
+    """Sun directions outside the singular cone about the vertical and inside the field of view."""
+    if world.sun_n is None:
+        warnings.append(
+            Warn("no-sun-reference", "sun sensor not used: its reference direction is not known",
+                 "set [world] sun_direction, or latitude_deg and longitude_deg")
+        )  # fmt: skip
+        return []
+    cfg, still = settings.sun, at_stop(fixes.t, segmentation)
+    reference = np.broadcast_to(world.sun_n, (len(fixes.t), 3))
+    rows = cfg.components or fixes.values.shape[1]
+    use = (still | (policy != "stops")) & (np.degrees(np.arccos(np.abs(reference[:, 2]))) >= cfg.min_angle_deg)
+    across = np.hypot(fixes.values[:, 0], fixes.values[:, 1])
+    if cfg.field_of_view_deg is not None:
+        use &= across <= np.sin(np.radians(min(cfg.field_of_view_deg, 90.0)))
+    if rows == 2:
+        use &= across < 1.0 + 5 * np.radians(cfg.sigma_deg)
+    if not use.any():
+        warnings.append(Warn("sun-not-used", f"none of {len(use)} sun measurements could be used",
+                             "they are in motion with absolute = stops, out of view, or the sun is near the vertical"))  # fmt: skip
+    R_sb = rotation.matrix(np.array(cfg.mounting)).T
+    R = np.radians(cfg.sigma_deg) ** 2 * np.eye(2)
+    kind = "plane" if rows == 2 else "tangent"
+    return [
+        Observation("sun", Direction(reference[k], R_sb, kind), fixes.t[k], fixes.t[k : k + 1],
+                    fixes.values[k : k + 1], R, bool(still[k]))
+        for k in np.flatnonzero(use)
+    ]  # fmt: skip
+
+
+def _grouped(fixes: Fixes, segmentation: Segmentation, spacing: float, only_stops: bool) -> list[tuple[Array, bool]]:
+    """Group the samples of a sensor: bins of a second at stops and of the node spacing in motion, else one by one."""
+    still = at_stop(fixes.t, segmentation)
+    stop_number = np.searchsorted([s.used_start for s in segmentation.stops], fixes.t, side="right")
+    bins = np.where(still, np.floor(fixes.t / STOP_BLOCK_S), np.floor(fixes.t / spacing))
+    order = np.flatnonzero(still | (not only_stops))
+    key = np.stack([still[order], stop_number[order] * still[order], bins[order]])
+    cuts = np.flatnonzero(np.any(np.diff(key, axis=1) != 0, axis=0)) + 1
+    return [(g, bool(still[g[0]])) for g in np.split(order, cuts) if len(g)]
+
+
+def _compass(
+    fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, warnings: list[Warn]
+) -> list[Observation]:
+    sigma = np.radians(settings.compass.sigma_deg)
+    return [
+        Observation("compass", BodyHeading(), float(fixes.t[g].mean()), fixes.t[g], fixes.values[g],
+                    np.array([[sigma**2 / len(g)]]), still)
+        for g, still in _grouped(fixes, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
+    ]  # fmt: skip
+
+
+def _orientation(
+    fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, warnings: list[Warn]
+) -> list[Observation]:
+    sigma = np.radians(settings.orientation.sigma_deg)
+    stated = fixes.sigma if fixes.sigma is not None else np.full((len(fixes.t), 3), sigma)
+    return [
+        Observation("orientation", Orientation(), float(fixes.t[g].mean()), fixes.t[g], fixes.values[g],
+                    np.diag(np.mean(stated[g] ** 2, axis=0) / len(g)), still)
+        for g, still in _grouped(fixes, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
+    ]  # fmt: skip
+
+
+def _magnetometer(
+    fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str
+) -> list[Observation]:
+    """One heading per stop, with the place's own error; in motion (``always``) one a second, inflated for its correlation."""
+    azimuth = 0.5 * np.pi if world.field_n is None else float(np.arctan2(world.field_n[1], world.field_n[0]))
+    sensor, place = FieldHeading(azimuth), np.radians(settings.magnetometer.sigma_deg) ** 2
+    still = at_stop(fixes.t, segmentation)
+    out = []
+    for s in segmentation.stops:
+        g = np.flatnonzero((fixes.t >= s.used_start) & (fixes.t <= s.used_end))
+        if len(g):
+            middle = 0.5 * (s.used_start + s.used_end)
+            mean = fixes.values[g].mean(axis=0)[None]
+            out.append(Observation("magnetometer", sensor, middle, np.array([middle]), mean, np.array([[place]]), True))
+    if policy == "always" or not segmentation.stops:
+        moving = np.flatnonzero(~still)
+        bins = np.floor(fixes.t[moving])
+        inflated = np.array([[place * max(1.0, 2 * FIELD_CORRELATION_S)]])
+        for g in np.split(moving, np.flatnonzero(np.diff(bins)) + 1):
+            if len(g):
+                centre = g[len(g) // 2 : len(g) // 2 + 1]
+                out.append(Observation("magnetometer", sensor, float(fixes.t[centre[0]]), fixes.t[centre],
+                                       fixes.values[centre], inflated, False))  # fmt: skip
+    return out

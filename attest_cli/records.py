@@ -1,0 +1,252 @@
+"""The nouns that flow through attest: frozen records, validated once when they are made.
+
+``Recording`` (as found in the file) -> ``Log`` (SI units, body axes, seconds since ``t0_ns``) -> ``Segment`` list
+-> ``Nodes`` -> ``FilterRun`` (per node) -> ``Track`` (per IMU sample). ``Result`` is what a result folder holds.
+Arrays are time first: vectors ``(n, 3)``, scalars ``(n,)``, covariances ``(n, k, k)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import AttestError
+from .maths.kalman import Chain
+from .maths.propagation import Increments
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Warn:
+    """Something the user should know. ``code`` is stable (kebab-case), ``message`` a fact, ``hint`` the way out."""
+
+    code: str
+    message: str
+    hint: str = ""
+    lost: bool = False  # data was lost (time coverage or a whole channel): exit code 3
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One stream as found in the file.
+
+    Parameters
+    ----------
+    name : str
+        Topic, or the column group's role name for tables.
+    kind : str
+        Message type such as ``sensor_msgs/msg/Imu``; ``columns`` for tables.
+    role : str
+        What the reader recognises it as by type and column names (see ``ROLES``); empty = not recognised.
+    stamps_ns : (n,) int64
+        Stamps as found (header stamp where there is one).
+    values : name -> (n,) float64
+        Canonical column names (``gyro_x`` ...), values in the unit named in ``units``; NaN = blank.
+    units : name -> str
+        Unit as stated by the file or fixed by the message type; empty = not stated.
+    """
+
+    name: str
+    kind: str
+    role: str
+    stamps_ns: Ints
+    values: Mapping[str, Array]
+    units: Mapping[str, str] = field(default_factory=dict)
+    frame_id: str = ""
+
+    def __post_init__(self) -> None:
+        for key, column in self.values.items():
+            if column.shape != self.stamps_ns.shape:
+                raise AttestError(f"channel {self.name}: column {key} has {column.size} rows, the stamps {self.stamps_ns.size}")
+
+
+ROLES = ("imu", "gyro", "accel", "sun", "magnetometer", "compass", "orientation", "odometry", "gps", "position", "temperature")
+"""Roles a channel can play. ``gyro`` and ``accel`` are halves of an imu on channels of their own."""
+
+COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "imu": ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"),
+    "gyro": ("gyro_x", "gyro_y", "gyro_z"),
+    "accel": ("accel_x", "accel_y", "accel_z"),
+    "sun": ("sun_x", "sun_y", "sun_z"),
+    "magnetometer": ("mag_x", "mag_y", "mag_z"),
+    "compass": ("compass_deg",),
+    "orientation": ("q_w", "q_x", "q_y", "q_z"),
+    "odometry": ("velocity_x", "velocity_y", "velocity_z"),
+    "gps": ("latitude", "longitude", "altitude"),
+    "position": ("position_x", "position_y", "position_z"),
+    "temperature": ("temperature_c",),
+}
+"""Canonical columns of each role, in order (``interface.md``, Roles). Odometry may instead have ``speed`` only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a reader found: every channel of interest, stamps in int64 ns, units as stated."""
+
+    source: Path
+    format: str  # csv, parquet, mcap
+    channels: tuple[Channel, ...]
+    rows: int  # rows or messages read in all
+    other: Mapping[str, str] = field(default_factory=dict)  # channels not read: name -> type
+    warnings: tuple[Warn, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """IMU samples: ``t`` (n,) s since ``t0_ns`` strictly increasing, ``gyro_b`` (n, 3) rad/s, ``accel_b`` (n, 3) m/s^2 specific force."""
+
+    t: Array
+    gyro_b: Array
+    accel_b: Array
+
+    def __post_init__(self) -> None:
+        n = self.t.shape[0]
+        if self.gyro_b.shape != (n, 3) or self.accel_b.shape != (n, 3):
+            raise AttestError(f"IMU arrays disagree: t {self.t.shape}, gyro {self.gyro_b.shape}, accel {self.accel_b.shape}")
+
+
+@dataclass(frozen=True, slots=True)
+class Fixes:
+    """Measurements of one absolute or aiding sensor, in SI.
+
+    ``values`` (m, d): sun (m, 2|3) sensor-frame direction; magnetometer (m, 3) body, tesla; compass (m, 1) rad clockwise
+    from true north; orientation (m, 4) Hamilton wxyz body to navigation; odometry (m, 3) body m/s (NaN = not measured);
+    gps (m, 3) rad, rad, m; position (m, 3) m navigation; temperature (m, 1) deg C.
+    ``sigma`` (m, k) or None: standard deviations the log itself states, in the unit of the residual.
+    """
+
+    role: str
+    channel: str
+    t: Array
+    values: Array
+    sigma: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One drive in SI units and body axes, on one time base. ``gaps`` (g, 2): start and end of holes in the IMU, s."""
+
+    sources: tuple[Path, ...]
+    t0_ns: int
+    stamps_ns: Ints  # (n,) of the IMU samples, as written to the track
+    imu: Imu
+    fixes: Mapping[str, Fixes]
+    gaps: Array
+    coverage: Mapping[str, float]  # rows_in, rows_used, rows_dropped, seconds_in, seconds_used
+    warnings: tuple[Warn, ...] = ()
+    history: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stop or a motion. ``index`` counts from 1: stops odd, motions even. Times in s; samples ``[first, last)``.
+
+    ``used_start``/``used_end``: the stop shrunk by half a window (equal to start/end for a motion).
+    """
+
+    index: int
+    motion: bool
+    start: float
+    end: float
+    first: int
+    last: int
+    used_start: float
+    used_end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Segmentation:
+    """Segments in time order, with the detector's statistic, so that it can be drawn and judged.
+
+    ``statistic`` (n,) per IMU sample in units of sensor noise; ``enter``/``leave`` thresholds; ``bias_b`` (3,) blind gyro bias;
+    ``margin``: 5 % quantile of the statistic in motion over the enter threshold (nan without motion or stop).
+    """
+
+    segments: tuple[Segment, ...]
+    statistic: Array
+    enter: float
+    leave: float
+    bias_b: Array
+    margin: float
+    source: str  # "imu", "odometry", "file"
+    warnings: tuple[Warn, ...] = ()
+
+    @property
+    def stops(self) -> tuple[Segment, ...]:
+        return tuple(s for s in self.segments if not s.motion)
+
+    @property
+    def motions(self) -> tuple[Segment, ...]:
+        return tuple(s for s in self.segments if s.motion)
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a result folder holds and pages are drawn from (columns: ``interface.md`` and ``writers/result.py``)."""
+
+    folder: Path
+    report: Mapping[str, Any]  # report.json
+    passes: Mapping[str, NDArray[Any]]
+    innovations: Mapping[str, NDArray[Any]]
+    segments: tuple[Mapping[str, Any], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Reference directions in navigation axes: gravity m/s^2, sun (3,) or (m, 3) per sun fix, magnetic field (3,); None = not known."""
+
+    gravity: float
+    sun_n: Array | None = None
+    field_n: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """One row per measurement: ``role`` (m,) str, ``t``, ``node``, ``dof``, ``nis``, ``used``, ``z`` (m, 3) innovation over its
+    predicted sigma (NaN beyond ``dof``)."""
+
+    role: NDArray[np.str_]
+    t: Array
+    node: Ints
+    dof: Ints
+    nis: Array
+    used: Bools
+    z: Array
+
+
+@dataclass(frozen=True, slots=True)
+class FilterRun:
+    """A forward pass over n nodes: updated estimate ``q`` (n, 4), ``bias`` (n, 3), its ``chain`` of error covariances (see
+    ``maths.kalman``), the ``increments`` it used, every innovation; ``heading``: absolute, magnetic or relative; ``start_in_motion``."""
+
+    t: Array
+    q: Array
+    bias: Array
+    chain: Chain
+    increments: Increments
+    innovations: Innovations
+    moving: Bools  # (n,) False at the nodes of a stop
+    heading: str
+    start_in_motion: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """A smoothed pass over n nodes: ``q`` (n, 4), ``bias`` (n, 3), covariance ``P`` (n, 6, 6) about it, lag-one covariance
+    ``cross`` (n - 1, 6, 6), and how many Gauss-Newton passes were made."""
+
+    t: Array
+    q: Array
+    bias: Array
+    P: Array
+    cross: Array
+    passes: int = 0
