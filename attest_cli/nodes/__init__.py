@@ -60,25 +60,28 @@ def build_nodes(
     imu = log.imu
     stops = [(s.used_start, s.used_end) for s in segmentation.stops]
     gaps = [(float(a), float(b)) for a, b in log.gaps]
-    t = _grid(imu.t, stops, gaps, np.array([o.t for o in observations]), settings.smoothing.node_spacing_s)
+    frozen_stops = stops if settings.smoothing.zero_rate else []
+    t = _grid(imu.t, stops, frozen_stops, gaps, np.array([o.t for o in observations]), settings.smoothing.node_spacing_s)
     middle = 0.5 * (t[1:] + t[:-1])
-    frozen, gap = _inside(middle, stops), _inside(middle, gaps)
+    frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
     steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
     increments = _increments(steps, reference_bias(log, segmentation, middle), frozen, gap, noise)
     by_node: dict[int, list[Measurement]] = {}
     for o in observations:
         node = int(np.argmin(np.abs(t[max(0, (i := int(np.searchsorted(t, o.t))) - 1) : i + 1] - o.t)) + max(0, i - 1))
-        turn = None if o.still or np.all(np.abs(o.times - t[node]) < SAME_TIME_S) else _turns(imu, o.times, t[node], segmentation)
+        turn = None if (o.still and settings.smoothing.zero_rate) or np.all(np.abs(o.times - t[node]) < SAME_TIME_S) else _turns(imu, o.times, t[node], segmentation)
         by_node.setdefault(node, []).append(Measurement(o.role, o.sensor, node, o.t, o.values, o.noise, turn))
-    if settings.smoothing.zero_rate:
-        for m in _zero_rates(imu, t, frozen, noise):
-            by_node.setdefault(m.node, []).append(m)
+    for m in _zero_rates(imu, t, frozen, noise):
+        by_node.setdefault(m.node, []).append(m)
     measured = np.array(sorted(by_node), dtype=np.int64)
     groups = tuple(tuple(by_node[k]) for k in measured.tolist())
     return Nodes(t, ~_inside(t, stops), frozen, gap, steps, increments, sample_step, measured, groups, noise)
 
 
-def _grid(t: Array, stops: list[tuple[float, float]], gaps: list[tuple[float, float]], epochs: Array, spacing: float) -> Array:
+def _grid(
+    t: Array, stops: list[tuple[float, float]], frozen: list[tuple[float, float]], gaps: list[tuple[float, float]],
+    epochs: Array, spacing: float,
+) -> Array:  # fmt: skip
     """Return node times: first and last sample, edges of stops and gaps, epochs, and between them at most the spacing."""
     edges = [e for pair in (*stops, *gaps) for e in pair]
     must = np.unique(np.clip(np.concatenate([[t[0], t[-1]], edges, epochs]), t[0], t[-1]))
@@ -86,7 +89,7 @@ def _grid(t: Array, stops: list[tuple[float, float]], gaps: list[tuple[float, fl
     if len(must) == 1:
         return must
     middle, width = 0.5 * (must[1:] + must[:-1]), np.diff(must)
-    step = np.where(_inside(middle, stops), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, spacing))
+    step = np.where(_inside(middle, frozen), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, spacing))
     parts = np.maximum(1, np.ceil(width / step - 1e-9)).astype(np.int64)
     owner = np.repeat(np.arange(len(parts)), parts)
     k = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)

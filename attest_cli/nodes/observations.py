@@ -62,17 +62,23 @@ def observe(
 def gravity_at_stops(
     log: Log, segmentation: Segmentation, world: World, noise: Noise, settings: Settings
 ) -> list[Observation]:
-    """One update per stop: the accelerometer bias is shared by all its samples, so they do not average it away."""
+    """One update per stop: the accelerometer bias is shared by all its samples, so they do not average it away.
+
+    Without zero rate the attitude is not frozen, and gravity every second is what shows the gyro's bias: blocks of a second,
+    each with so much noise that together they know no more than the accelerometer bias lets them.
+    """
     out = []
     for s, (lo, hi) in zip(segmentation.stops, stop_ranges(log, segmentation), strict=True):
         if hi - lo < 3:
             continue
-        span = float(log.imu.t[hi - 1] - log.imu.t[lo])
-        variance = (noise.accel_density**2 / span + settings.imu.accel_bias_sigma**2) / world.gravity**2
-        mean = log.imu.accel_b[lo:hi].mean(axis=0)
-        middle = 0.5 * (s.used_start + s.used_end)
-        up = (mean / np.linalg.norm(mean))[None]
-        out.append(Observation("gravity", _up(), middle, np.array([middle]), up, variance * np.eye(2), True))
+        span = s.used_end - s.used_start
+        blocks = 1 if settings.smoothing.zero_rate else max(1, int(span / STOP_BLOCK_S))
+        variance = noise.accel_density**2 * blocks / span + blocks * settings.imu.accel_bias_sigma**2
+        for rows in np.array_split(np.arange(lo, hi), blocks):
+            mean, middle = log.imu.accel_b[rows].mean(axis=0), float(np.mean(log.imu.t[rows]))
+            up = (mean / np.linalg.norm(mean))[None]
+            R = variance / world.gravity**2 * np.eye(2)
+            out.append(Observation("gravity", _up(), middle, np.array([middle]), up, R, True))
     return out
 
 

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtri
 
 from ..filters.alignment import Start
 from ..maths import block_tridiagonal, kalman, rotation
 from ..nodes import Nodes
-from ..records import Array, Bools, Smoothed
+from ..records import Array, Innovations, Smoothed
 
 CONVERGED = 1e-3  # of a sigma: the largest change of any state in the last pass
+DOUBTFUL_SHARE = 0.02  # of measurements rejected by the forward filter: then its trajectory may be the one at fault
+
+Kept = set[tuple[int, str]]  # (node, role) of the measurements in use
 
 
 def refine(
-    nodes: Nodes, start: Start, smoothed: Smoothed, used: set[tuple[int, str]] | None, passes: int, fixed: bool
-) -> Smoothed:
+    nodes: Nodes, start: Start, smoothed: Smoothed, innovations: Innovations | None, passes: int, gate: float = 0.9999,
+    fixed: bool = True,
+) -> Smoothed:  # fmt: skip
     r"""Iterate Gauss-Newton on the whole log.
 
     .. math:: u_k=f(\bar x_k)\ominus\bar x_{k+1},\quad d_{k+1}=\Phi_kd_k+u_k+w_k,\quad z_k-h(\bar x_k)=H_kd_k+v_k
@@ -26,7 +31,8 @@ def refine(
     ----------
     nodes, start : as for the filter
     smoothed : trajectory to begin with
-    used : (node, role) of the measurements the filter's gate kept; None uses all
+    innovations : of the forward filter, whose gate decides in the first pass; later ones gate on the smoothed trajectory.
+        None: every measurement counts in every pass
     passes : at most this many
     fixed : make all passes; else stop when no state moves by more than 1e-3 sigma
 
@@ -35,19 +41,38 @@ def refine(
     Each pass is one block-tridiagonal solve with all marginal covariances. Source: the note, section 5.
     """
     q, bias, P, cross, made = smoothed.q, smoothed.bias, smoothed.P, smoothed.cross, 0
+    kept = None if innovations is None else _kept(innovations)
     for made in range(1, passes + 1):
-        diagonal, upper, right = _normal_equations(nodes, start, q, bias, used)
+        diagonal, upper, right = _normal_equations(nodes, start, q, bias, kept)
         d, P, cross = block_tridiagonal.solve(diagonal, upper, right)
         q = rotation.normalise(rotation.multiply(q, rotation.exp_quaternion(d[:, :3])))
         bias = bias + d[:, 3:]
-        sigma = np.sqrt(np.einsum("kii->ki", P))
-        if not fixed and float(np.max(np.abs(d) / sigma)) < CONVERGED:
+        again = None if kept is None else _gated(nodes, q, bias, P, gate)
+        settled = float(np.max(np.abs(d) / np.sqrt(np.einsum("kii->ki", P)))) < CONVERGED and again == kept
+        kept = again
+        if settled and not fixed:
             break
     return Smoothed(smoothed.t, q, bias, kalman.symmetric(P), cross, made)
 
 
+def _kept(found: Innovations) -> Kept:
+    return {(int(k), str(r)) for k, r, ok in zip(found.node, found.role, found.used, strict=True) if ok}
+
+
+def _gated(nodes: Nodes, q: Array, bias: Array, P: Array, gate: float) -> Kept:
+    """Return the measurements that fit the smoothed trajectory: ``r' (R + H P H')^-1 r`` inside the chi-square gate."""
+    kept = set()
+    for node, group in zip(nodes.measured.tolist(), nodes.measurements, strict=True):
+        for m in group:
+            r, H = m.linearise(q[node], bias[node])
+            nis = float(r @ np.linalg.solve(m.noise + H @ P[node] @ H.T, r))
+            if gate >= 1.0 or nis <= chdtri(m.sensor.dof, 1.0 - gate):
+                kept.add((node, m.role))
+    return kept
+
+
 def _normal_equations(
-    nodes: Nodes, start: Start, q: Array, bias: Array, used: set[tuple[int, str]] | None
+    nodes: Nodes, start: Start, q: Array, bias: Array, kept: Kept | None
 ) -> tuple[Array, Array, Array]:
     """Return diagonal blocks, upper blocks and right-hand side of the least-squares problem about the trajectory."""
     inc, n = nodes.increments, len(nodes.t)
@@ -65,7 +90,7 @@ def _normal_equations(
     _add_prior(diagonal, right, start, q[0], bias[0])
     for node, group in zip(nodes.measured.tolist(), nodes.measurements, strict=True):
         for m in group:
-            if used is not None and (node, m.role) not in used:
+            if kept is not None and (node, m.role) not in kept:
                 continue
             r, H = m.linearise(q[node], bias[node])
             HtW = np.linalg.solve(m.noise, H).T
@@ -81,8 +106,3 @@ def _add_prior(diagonal: Array, right: Array, start: Start, q: Array, bias: Arra
     weight = kalman.symmetric(np.linalg.inv(J @ start.P @ J.T))
     diagonal[0] += weight
     right[0] -= weight @ J @ e
-
-
-def kept(used: Bools, node: Array, role: Array) -> set[tuple[int, str]]:
-    """Return the (node, role) pairs of the innovations the gate let through."""
-    return {(int(k), str(r)) for k, r, ok in zip(node, role, used, strict=True) if ok}

@@ -1,0 +1,116 @@
+"""``python -m attest_cli`` and the ``attest`` command: run it, and turn every end into one line and an exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Sequence
+from types import FrameType
+
+from .errors import AttestError
+
+REFUSED, USAGE = 1, 2
+
+
+class Stopped(BaseException):
+    """A signal asked us to stop; no ``except Exception`` on the way may swallow it."""
+
+    def __init__(self, number: int) -> None:
+        self.exit_code = 128 + number
+        super().__init__(f"signal {number}")
+
+
+def main() -> None:
+    """Run attest with the arguments of the process and leave with its exit code."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")  # what a user should know is said by attest itself
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # a terminal without sigma shows its code, and no traceback
+    sys.exit(run(sys.argv[1:] or ["--help"]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Exit code of one command line. Every fault is one plain line on stderr; ``-v`` adds the traceback of a defect."""
+    try:
+        return _finish(_invoke(arguments))
+    except Stopped as stop:
+        _line("stopped")
+        return stop.exit_code
+    except AttestError as fault:
+        _line(str(fault))
+    except BrokenPipeError:
+        _finish(REFUSED)
+    except MemoryError:
+        _line("not enough memory; read a part of the log with --start and --end")
+    except OSError as fault:
+        _line(f"{fault.filename}: {fault.strerror}" if fault.filename is not None else str(fault))
+    except Exception as fault:  # noqa: BLE001 (the last line of defence: a user never sees a bare traceback)
+        _defect(
+            fault, verbose=any(a == "--verbose" or (a[:1] == "-" and a[1:2] != "-" and "v" in a) for a in arguments)
+        )
+    return REFUSED
+
+
+def _invoke(arguments: Sequence[str]) -> int:
+    import typer
+
+    from .app import app
+
+    try:
+        code = app(args=list(arguments), prog_name="attest", standalone_mode=False)
+    except typer.TyperException as fault:
+        command = getattr(getattr(fault, "ctx", None), "command_path", "attest")
+        message = fault.format_message().replace("Value error, ", "").rstrip(".")
+        _line(f"{message}; see {command} --help")
+        return USAGE
+    return code if isinstance(code, int) else 0
+
+
+def _finish(code: int) -> int:
+    """Flush what was printed; a reader that has left (``| head -1``) is no fault, a full disk is."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # so that Python's own flush at exit is quiet
+    return code
+
+
+def _line(text: str) -> None:
+    from .commands.console import plain
+
+    try:
+        print(f"attest: {plain(text)}", file=sys.stderr, flush=True)  # noqa: T201
+    except OSError:
+        _finish(REFUSED)
+
+
+def _defect(fault: Exception, *, verbose: bool) -> None:
+    if verbose:
+        import traceback
+
+        print(*map(_escaped, traceback.format_exception(fault)), sep="", end="", file=sys.stderr)  # noqa: T201
+    hint = "please report it with the traceback above" if verbose else "run it again with -v for the traceback"
+    _line(f"defect in attest: {type(fault).__name__}: {fault}; {hint}")
+
+
+def _escaped(block: str) -> str:
+    from .commands.console import plain
+
+    return "".join(f"{plain(line)}\n" for line in block.splitlines())
+
+
+def _stop(number: int, _frame: FrameType | None) -> None:
+    for other in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(other, signal.SIG_IGN)  # one is enough: clearing up must not be cut short
+    raise Stopped(number)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""One file per command: options -> pipeline call -> printed summary -> exit code."""

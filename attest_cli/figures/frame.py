@@ -1,0 +1,166 @@
+"""What every page has: title, subtitle, footer, time panels with stops shaded, segment numbers, row names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .. import __version__
+from ..records import Array
+from . import style, ticks
+from .drive import Drive
+from .page import Box, Kind, Limits, Page, Panel
+from .words import clean, cut, duration, first_fit, short_duration, two_digits
+
+LEFT, RIGHT = 0.45, 7.70
+MARKER: dict[str, tuple[Kind, str]] = {
+    "PASS": ("circle", "pass"),
+    "WARN": ("up", "warn"),
+    "FAIL": ("heavy-cross", "fail"),
+}
+SEGMENT_ROW = 0.07  # segment numbers stand this far above the panel
+
+
+def new_page(
+    drive: Drive, theme: str, height: float, titles: Sequence[str], notes: Sequence[str], alt: str, status: str = "",
+    *, word: bool = False,
+) -> Page:  # fmt: skip
+    """A page with its title, subtitle and footer.
+
+    Parameters
+    ----------
+    titles : sequence of str
+        The finding, longest wording first; the first that fits is taken.
+    notes : sequence of str
+        Parts of the subtitle after the file name; the last ones go where they do not fit.
+    alt : str
+        What is drawn and the key numbers; the title is put before it.
+    status : str
+        PASS, WARN, FAIL for a marker; empty for none. ``word`` writes it at the right as well.
+    """
+    room = RIGHT - LEFT - (0.27 if status else 0.0) - (0.6 if word else 0.0)
+    title = first_fit(t for t in titles if t is titles[-1] or style.text_width(t, style.TITLE, bold=True) <= room)
+    page = Page(height, theme, title, f"{title}. {alt}" if alt else title)
+    if status:
+        mark(page, 0.55, 0.36, status, 9.0)
+        page.text(0.72, 0.42, title, size=style.TITLE, bold=True)
+    else:
+        page.text(LEFT, 0.42, title, size=style.TITLE, bold=True)
+    if word:
+        page.text(
+            RIGHT,
+            0.42,
+            status,
+            size=style.TITLE,
+            bold=True,
+            colour=MARKER.get(status, MARKER["WARN"])[1],
+            align="right",
+        )
+    page.text(LEFT, 0.68, subtitle(drive, notes), size=style.LABEL, colour="mute")
+    page.text(RIGHT, height - 0.12, footer(drive), size=style.FOOTER, colour="mute", align="right")
+    return page
+
+
+def subtitle(drive: Drive, notes: Sequence[str]) -> str:
+    """File name and notes in one line that fits: the name is cut first, then the date goes, then the last notes."""
+    parts = [p for p in notes if p]
+    while True:
+        for longest in (60, 40, 28):
+            line = " · ".join([p for p in (cut(drive.file_name, longest),) if p] + parts)
+            if style.text_width(line, style.LABEL) <= RIGHT - LEFT or (not parts and longest == 28):
+                return line
+        parts.pop(0 if parts[0] == drive.start_date else -1)
+
+
+def footer(drive: Drive) -> str:
+    """Version, file, checksum and smoother: enough to find the run again."""
+    files = (drive.report.get("input") or {}).get("files") or [{}]
+    sha = clean(files[0].get("sha256") or "", 64)
+    smoother = clean((drive.report.get("methods") or {}).get("smoother") or "", 30)
+    known = [
+        f"attest {clean(drive.report.get('attest_version') or __version__, 20)}",
+        cut(drive.file_name, 40),
+        f"sha256 {sha[:4]}…{sha[-2:]}" if sha else "",
+        "no smoother" if smoother == "none" else f"{smoother} smoother" if smoother else "",
+    ]
+    return " · ".join(part for part in known if part)
+
+
+def mark(page: Page, x: float, y: float, status: str, size: float) -> None:
+    """The marker of a verdict: shape and colour."""
+    kind, colour = MARKER.get(status, MARKER["WARN"])
+    page.marks([(x, y)], kind, size * (0.72 if kind == "heavy-cross" else 1.0), fill=colour)
+
+
+def time_panel(page: Page, drive: Drive, box: Box, y: Limits, *, log: bool = False) -> Panel:
+    """A panel over the time of the log with stops and gaps shaded."""
+    panel = page.panel(box, drive.limits, y, log=log)
+    panel.shade([(p.start, p.end) for p in drive.wide_stops(box[2])])
+    panel.shade([(a, b) for a, b in drive.gaps], "gap")
+    return panel
+
+
+def time_axis(panel: Panel, *, label: bool = True) -> None:
+    """Time ticks under a panel."""
+    low, high = panel.x_limits
+    panel.x_axis(ticks.time(low, high), ticks.time_label(low, high) if label else "")
+
+
+def gap_words(drive: Drive) -> list[tuple[float, str]]:
+    """``gap 29 min`` at the middle of each gap, longest first."""
+    longest = sorted(drive.gaps.tolist(), key=lambda g: g[0] - g[1])
+    return [
+        (0.5 * (a + b), f"gap {duration(round(b - a)) if b - a < 600.0 else short_duration(b - a)}")
+        for a, b in longest[:5]
+    ]
+
+
+def segment_numbers(page: Page, drive: Drive, panel: Panel) -> None:
+    """Numbers of the stops above a panel (gaps first, longer stops first), with the word at the left."""
+    words = gap_words(drive)
+    if not drive.long:
+        words += [(0.5 * (p.start + p.end), str(p.index)) for p in sorted(drive.stops, key=lambda p: -p.length)]
+        if drive.stops:
+            page.text(
+                panel.left - 0.08, panel.top - SEGMENT_ROW, "segment", size=style.NUMBER, colour="mute", align="right"
+            )
+    panel.above(words, SEGMENT_ROW)
+
+
+def row_name(page: Page, panel: Panel, name: str, *notes: str, x: float = 0.20, y: float | None = None) -> None:
+    """Name of a row at the left with its notes under it, centred on the panel."""
+    at = panel.top + 0.5 * panel.height + 0.04 - 0.065 * len(notes) if y is None else y
+    page.text(x, at, name, size=style.ROW, bold=True)
+    for k, note in enumerate(notes):
+        page.text(x, at + 0.165 + 0.125 * k, note, size=style.NOTE, colour="mute")
+
+
+def beyond(panel: Panel, t: Array, lines: Mapping[str, Array], limit: float) -> None:
+    """One triangle per line (colour -> degrees) and side where it leaves the panel, with its largest value."""
+    for side in (1.0, -1.0):
+        found = []
+        for colour, values in lines.items():
+            reach = np.where(np.isfinite(values), side * values, -np.inf)
+            if reach.size and float(reach.max()) > limit:
+                found.append((float(panel.x(t[int(reach.argmax())])), colour, side * float(reach.max())))
+        found.sort()
+        edge = panel.top + 0.035 if side > 0 else panel.bottom - 0.035
+        for k, (x, colour, value) in enumerate(found):
+            crowded = k + 1 < len(found) and found[k + 1][0] - x < 0.5
+            left = x > panel.right - 0.4 or (crowded and x > panel.left + 0.4)
+            panel.page.marks([(x, edge)], "up" if side > 0 else "down", 4.5, fill=colour)
+            at = (x + (-0.055 if left else 0.055), edge + (0.04 if side > 0 else 0.02))
+            words = f"{two_digits(value)}°"
+            panel.page.text(*at, words, size=style.NOTE, colour=colour, align="right" if left else "left", halo=True)
+
+
+def padded(low: float, high: float, share: float = 0.06) -> Limits:
+    """Limits with a margin; never empty, never nan."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return -1.0, 1.0
+    if high - low <= 1e-12 * max(abs(low), abs(high), 1e-12):
+        pad = 0.1 * abs(low) or 1.0
+        return low - pad, high + pad
+    return low - share * (high - low), high + share * (high - low)

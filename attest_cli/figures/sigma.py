@@ -1,0 +1,233 @@
+"""Page 4, sigma: what smoothing gains over each pass, and when a stop would have been due."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..records import Array, Result
+from . import style, ticks
+from .drive import Drive, Part, real
+from .frame import new_page, row_name, segment_numbers, time_axis, time_panel
+from .page import DASHED, Align, Page, Panel
+from .words import clock, percent, two_digits
+
+PASSES = ("backward", "forward", "smoothed")
+DECADES = 4.0  # a log axis never reaches further below its top
+
+
+def draw(result: Result, theme: str = "light") -> Page | None:
+    """The page; None where no sigma is known."""
+    drive = Drive(result)
+    tilt = {which: drive.tilt_sigma(which) for which in PASSES}
+    heading = {which: drive.column(f"{which}_sigma_att_z_deg") for which in PASSES}
+    if not any(np.isfinite(v).any() for v in (*tilt.values(), *heading.values())):
+        return None
+    both = "attitude σ of the three passes" if drive.two_passes else "attitude σ of the forward and the smoothed pass"
+    page = new_page(
+        drive, theme, 5.6, _titles(drive), [drive.span, both + _never_above(drive, tilt, heading)],
+        f"Tilt and heading σ over {drive.span} on log axes.", _status(drive),
+    )  # fmt: skip
+    asked = _asked(drive)
+    for k, (name, found) in enumerate((("tilt", tilt), ("heading", heading))):
+        panel = (_worst_row if drive.long else _row)(
+            page, drive, k, found, _threshold(drive) if name in asked else math.nan
+        )
+        notes = ["σ since start" if name == "heading" and drive.relative else "σ", "log axis"]
+        row_name(page, panel, name, *notes, *(["worst of", "each motion"] if drive.long else []))
+        if k == 0:
+            segment_numbers(page, drive, panel)
+        if name == asked[-1] and not drive.long:
+            _advice(panel, drive)
+    time_axis(panel)
+    return page
+
+
+def _threshold(drive: Drive) -> float:
+    return real((drive.report.get("advice") or {}).get("threshold_deg"))
+
+
+def _asked(drive: Drive) -> tuple[str, ...]:
+    """Panels that the stop threshold speaks of."""
+    axis = str((drive.report.get("advice") or {}).get("axis") or "")
+    return (axis,) if axis in ("tilt", "heading") else ("tilt", "heading")
+
+
+def _status(drive: Drive) -> str:
+    """WARN where even the smoothed sigma passes the threshold."""
+    names = [f"sigma_{name}_max_deg" for name in _asked(drive)]
+    return "WARN" if any(drive.stat(name) > _threshold(drive) for name in names) else "PASS"
+
+
+def _titles(drive: Drive) -> list[str]:
+    """What smoothing keeps, and what the forward pass alone would do."""
+    threshold, share = _threshold(drive), drive.stat("forward_over_threshold_share")
+    name = "tilt" if drive.relative or _asked(drive) == ("tilt",) else "heading"
+    most = drive.stat(f"sigma_{name}_max_deg")
+    if not drive.two_passes:
+        return [
+            f"One pass: {name} σ stays below {two_digits(most, up=True)}°" if math.isfinite(most) else "One pass only"
+        ]
+    head = f"Smoothing keeps {name} σ below {two_digits(most, up=True)}°" if most > 0.0 else "Smoothed σ is not known"
+    if most == 0.0:
+        return ["Smoothed σ is zero all along"]
+    axis = "" if _asked(drive) == (name,) else f" {_asked(drive)[0]}" if len(_asked(drive)) == 1 else " attitude"
+    if share > 0.0:
+        limit = f"{threshold:g}°"
+        return [f"{head}; forward alone exceeds{axis} {limit} for {percent(share)} of the log", head]
+    reach = drive.stat("forward_sigma_heading_max_deg") if name == "heading" else math.nan
+    if math.isfinite(reach):
+        return [f"{head}; forward alone reaches {two_digits(reach)}°", head]
+    return [f"{head}; forward alone stays below {threshold:g}°" if math.isfinite(threshold) and share == 0.0 else head]
+
+
+def _never_above(drive: Drive, tilt: dict[str, Array], heading: dict[str, Array]) -> str:
+    """The sentence that smoothing never loses, where it is true of every node drawn."""
+    if not drive.two_passes:
+        return ""
+    for found in (tilt, heading):
+        other = np.fmin(found["forward"], found["backward"])
+        known = np.isfinite(found["smoothed"]) & np.isfinite(other)
+        if not (found["smoothed"][known] <= other[known] * 1.01 + 1e-9).all():
+            return ""
+    return "; the smoothed σ is never above either pass"
+
+
+def limits(drive: Drive, found: dict[str, Array], threshold: float) -> tuple[float, float]:
+    """Log limits from the smoothed sigma and the passes outside their transients."""
+    kept = [
+        v[np.isfinite(v) & (v > 0.0) & (drive.settled(which) | (which == "smoothed"))] for which, v in found.items()
+    ]
+    values = np.concatenate(kept)
+    low, high = (float(values.min()), float(np.quantile(values, 0.999))) if values.size else (math.nan, math.nan)
+    if math.isfinite(threshold) and threshold > 0.0:
+        low, high = np.nanmin([low, 0.7 * threshold]), np.nanmax([high, 1.4 * threshold])
+    if not math.isfinite(low):
+        low, high = 0.1, 1.0
+    high = max(high * 1.35, low * 3.0)
+    return max(low / 1.2, high * 10.0**-DECADES), high
+
+
+def _row(page: Page, drive: Drive, k: int, found: dict[str, Array], threshold: float) -> Panel:
+    """One row of lines: the three passes over time."""
+    panel = _log_panel(page, drive, k, limits(drive, found, threshold))
+    for which in PASSES:
+        ink = which == "smoothed"
+        panel.series(drive.t, found[which], drive.breaks, "ink" if ink else which, 1.4 if ink else 0.9)
+    _threshold_line(panel, threshold)
+    if not any((v > 0.0).any() for v in found.values()):
+        page.text(
+            panel.left + 2.95, panel.top + 0.95, "σ = 0: nothing to draw on a log axis", colour="mute", align="middle"
+        )
+    else:
+        _names(panel, drive, found, threshold)
+    return panel
+
+
+def _worst_row(page: Page, drive: Drive, k: int, found: dict[str, Array], threshold: float) -> Panel:
+    """One row of a log with many motions: the worst sigma of each motion, one dot per pass."""
+    worst = {which: worst_of_motions(drive, values) for which, values in found.items()}
+    every = np.concatenate(list(worst.values()))
+    every = np.append(every[every > 0.0], [threshold] if threshold > 0.0 else [])
+    low, high = (float(every.min()), float(every.max())) if every.size else (0.1, 1.0)
+    panel = _log_panel(page, drive, k, (max(low / 1.5, high * 10.0**-DECADES), high * 1.5))
+    middles = np.array([0.5 * (p.start + p.end) for p in drive.motions])
+    for which, values in worst.items():
+        seen = values > 0.0
+        panel.points(
+            middles[seen],
+            values[seen],
+            "circle",
+            4.0 if which == "backward" else 2.6,
+            fill="ink" if which == "smoothed" else which,
+        )
+    _threshold_line(panel, threshold)
+    _margin_names(panel, found, threshold)
+    return panel
+
+
+def worst_of_motions(drive: Drive, values: Array) -> Array:
+    """Largest value in each motion; nan where none is known."""
+    rows = [values[drive.during(p.start, p.end)] for p in drive.motions]
+    return np.array([float(np.max(r, initial=0.0, where=np.isfinite(r))) or math.nan for r in rows])
+
+
+def _log_panel(page: Page, drive: Drive, k: int, y: tuple[float, float]) -> Panel:
+    panel = time_panel(page, drive, (1.05, 1.12 + 2.02 * k, 5.90, 1.82), y, log=True)
+    at = ticks.log(*panel.y_limits, 8, "°")
+    panel.grid(at[0])
+    panel.y_axis(at)
+    return panel
+
+
+def _threshold_line(panel: Panel, threshold: float) -> None:
+    """The dashed line at which a stop is advised, named at the right."""
+    page = panel.page
+    if math.isfinite(threshold) and threshold > 0.0:
+        panel.across(threshold, "limit", 0.8, DASHED)
+        at_y = float(panel.y(threshold))
+        page.text(panel.right + 0.06, at_y + 0.02, "stop advised", size=style.TICK, colour="limit")
+        page.text(panel.right + 0.06, at_y + 0.145, f"at σ = {threshold:g}°", size=style.NOTE, colour="limit")
+
+
+def _names(panel: Panel, drive: Drive, found: dict[str, Array], threshold: float) -> None:
+    """Names beside the lines of the longest motion where it is wide enough, else in the margin."""
+    whole = [p for p in drive.motions if not any(a < p.end and b > p.start for a, b in drive.gaps)]
+    longest = max(whole, key=lambda p: p.length, default=None)
+    if longest is None or float(panel.x(longest.end) - panel.x(longest.start)) < 1.25 or not drive.two_passes:
+        _margin_names(panel, found, threshold)
+        return
+    places: tuple[tuple[str, float, Align], ...] = (
+        ("backward", 0.09, "left"),
+        ("forward", -0.11, "right"),
+        ("smoothed", 0.0, "middle"),
+    )
+    for which, at, align in places:
+        _name(panel, drive, longest, found[which], which, at, align)
+
+
+def _margin_names(panel: Panel, found: dict[str, Array], threshold: float) -> None:
+    """Names of the passes in the right margin, clear of the threshold's name."""
+    drawn = [w for w in ("forward", "backward", "smoothed") if (found[w] > 0.0).any()]
+    low = math.isfinite(threshold) and float(panel.y(threshold)) < panel.top + 0.7
+    y = panel.bottom - 0.17 * len(drawn) if low else panel.top + 0.1
+    for k, which in enumerate(drawn):
+        ink = which == "smoothed"
+        colour = "ink" if ink else which
+        panel.page.text(panel.right + 0.06, y + 0.17 * k, which, size=style.TICK, colour=colour, bold=ink)
+
+
+def _name(panel: Panel, drive: Drive, part: Part, values: Array, which: str, inset: float, align: Align) -> None:
+    """One name, just clear of its line over the width of the word."""
+    width = style.text_width(which, style.LABEL, bold=which == "smoothed")
+    centre = 0.5 * float(panel.x(part.start) + panel.x(part.end))
+    x = {"left": float(panel.x(part.start)), "right": float(panel.x(part.end)), "middle": centre}[align] + inset
+    left = x - {"left": 0.0, "right": width, "middle": 0.5 * width}[align]
+    across = panel.x(drive.t)
+    under = values[(across > left) & (across < left + width) & (values > 0.0)]
+    if not under.size:
+        return
+    ink = which == "smoothed"
+    y = float(panel.y(under.min())) + 0.15 if ink else float(panel.y(under.max())) - 0.05
+    y = min(max(y, panel.top + 0.08), panel.bottom - 0.04)
+    panel.page.text(x, y, which, colour="ink" if ink else which, bold=ink, align=align, halo=True)
+
+
+def _advice(panel: Panel, drive: Drive) -> None:
+    """A triangle where the forward sigma passes the threshold, with the time since the motion began."""
+    threshold = _threshold(drive)
+    due = [(p.start, p.value("stop_advised_after_s")) for p in drive.motions]
+    due = [(start, after) for start, after in due if math.isfinite(after) and math.isfinite(threshold)]
+    if not due:
+        return
+    panel.points([a + b for a, b in due], [threshold] * len(due), "down", 4.5, fill="limit")
+    taken: list[float] = []
+    for start, after in sorted(due, key=lambda item: item[1]):
+        words = f"after {clock(after)}"
+        half = 0.5 * style.text_width(words, style.NOTE)
+        x = min(max(float(panel.x(start + after)), panel.left + half), panel.right - half)
+        if all(abs(x - other) > 2.0 * half + 0.08 for other in taken) and len(taken) < 8:
+            taken.append(x)
+            y = float(panel.y(threshold)) - 0.085
+            panel.page.text(x, y, words, size=style.NOTE, colour="limit", align="middle", halo=True)

@@ -1,0 +1,266 @@
+r"""Position from the smoothed attitude: inertial between stops, or wheel odometry; with the sigma that the attitude leaves.
+
+The smoothed attitude error is a Gauss-Markov chain over the nodes: with the lag-one covariance of the smoother,
+:math:`\delta_{k+1}=F_k\delta_k+\eta_k`, :math:`F_k=\mathrm{Cov}(\delta_{k+1},\delta_k)P_k^{-1}`. Position and velocity are
+linear in it, so their covariance follows exactly by adding them to the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .maths import rotation
+from .maths.kalman import symmetric
+from .nodes import Nodes
+from .records import Array, Fixes, Imu, Segmentation, Smoothed
+from .settings import Settings
+
+ODOMETRY_CORRELATION_S = 1.0  # wheel slip lasts about this long
+STILL_M_S = 2e-3  # how still a stop is
+UNUSABLE_SHARE = 0.1  # of the distance: a position worse than this is not worth its name
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """``p``, ``v`` (n, 3) at the IMU samples, m and m/s; ``P`` (nodes, 3, 3) m^2; per motion (by segment index) closing
+    velocity m/s and distance m; ``usable``: sigma stays below 10 % of the distance. NaN where nothing is known."""
+
+    p: Array
+    v: Array
+    P: Array
+    closing: Mapping[int, float]
+    distance: Mapping[int, float]
+    usable: bool
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class Markov:
+    """Smoothed errors ``[dtheta_n, dbias]`` over nodes: ``P`` (n, 6, 6), ``F``, ``W`` (n - 1, 6, 6)."""
+
+    P: Array
+    F: Array
+    W: Array
+
+
+def markov(smoothed: Smoothed) -> Markov:
+    """Return the error chain with attitude errors about world axes."""
+    n = len(smoothed.t)
+    T = np.tile(np.eye(6), (n, 1, 1))
+    T[:, :3, :3] = rotation.matrix(smoothed.q)
+    P = symmetric(T @ smoothed.P @ T.swapaxes(1, 2))
+    cross = T[:-1] @ smoothed.cross @ T[1:].swapaxes(1, 2)
+    F = np.linalg.solve(P[:-1], cross).swapaxes(1, 2)
+    W = symmetric(P[1:] - F @ P[:-1] @ F.swapaxes(1, 2))
+    return Markov(P, F, W)
+
+
+def odometry_position(
+    imu: Imu, q: Array, q_bv: Array, smoothed: Smoothed, segmentation: Segmentation, odometry: Fixes, settings: Settings
+) -> Position:
+    r"""Dead reckoning: :math:`\dot p_n=R_{nb}R_{bv}v_v`.
+
+    Error: :math:`\dot{\delta p}=-[v_n\times]\delta\theta_n+v_n\,\delta s+n`; ``delta s`` one scale error for the log, ``n`` slip
+    with a correlation time of a second. Sideways and vertical speed count as zero where the log does not give them.
+
+    Parameters
+    ----------
+    q : (n, 4) attitude of the IMU at its samples
+    q_bv : (4,) vehicle to IMU axes
+    """
+    cfg = settings.odometry
+    v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
+    for s in segmentation.stops:
+        v_v[(imu.t >= s.used_start) & (imu.t <= s.used_end)] = 0.0
+    R_nv = rotation.matrix(rotation.multiply(q, q_bv))
+    v_n = np.einsum("kij,kj->ki", R_nv, v_v)
+    dt = np.diff(imu.t)
+    p = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v_n[1:] + v_n[:-1]) * dt[:, None], axis=0)])
+    chain, t = markov(smoothed), smoothed.t
+    at_nodes = np.stack([np.interp(t, imu.t, p[:, i]) for i in range(3)], axis=1)
+    step = np.diff(at_nodes, axis=0)
+    slip = 2.0 * ODOMETRY_CORRELATION_S * np.array([cfg.sigma_m_s, cfg.lateral_sigma_m_s, cfg.lateral_sigma_m_s]) ** 2
+    R_nodes = rotation.matrix(rotation.multiply(smoothed.q, q_bv))[:-1]
+    moving = np.linalg.norm(step, axis=1) > 1e-9
+    noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]
+    P = _odometry_covariance(chain, step, noise, cfg.scale_sigma)
+    distance = {s.index: float(np.sum(np.linalg.norm(np.diff(p[s.first : s.last], axis=0), axis=1))) for s in segmentation.motions}
+    return Position(p, v_n, P, {}, distance, _usable(P, distance), "odometry")
+
+
+def _odometry_covariance(chain: Markov, step: Array, noise: Array, scale_sigma: float) -> Array:
+    """Propagate ``[dtheta_n, dbias, dp, ds]`` over the nodes; return the position blocks (n, 3, 3)."""
+    n = len(chain.P)
+    out = np.zeros((n, 3, 3))
+    S = np.zeros((10, 10))
+    S[:6, :6], S[9, 9] = chain.P[0], scale_sigma**2
+    A, W = np.eye(10), np.zeros((10, 10))
+    half = -0.5 * rotation.skew(step)
+    for k in range(n - 1):
+        A[:6, :6] = chain.F[k]
+        A[6:9, :6] = half[k] @ chain.F[k][:3]
+        A[6:9, :3] += half[k]
+        A[6:9, 9] = step[k]
+        W[:6, :6] = chain.W[k]
+        W[6:9, :6] = half[k] @ chain.W[k][:3]
+        W[:6, 6:9] = W[6:9, :6].T
+        W[6:9, 6:9] = W[6:9, :3] @ half[k].T + noise[k]
+        S = A @ S @ A.T + W
+        S = 0.5 * (S + S.T)
+        out[k + 1] = S[6:9, 6:9]
+    return out
+
+
+def inertial_position(
+    imu: Imu, q: Array, nodes: Nodes, smoothed: Smoothed, segmentation: Segmentation, settings: Settings, gravity: float,
+    literal: bool = False,
+) -> Position:
+    r"""Integrate the specific force over every motion, from rest to rest.
+
+    Strapdown: :math:`a=R_{nb}f-g`, trapezoid in velocity, its integral in position; then the whole motion is conditioned on
+    the zero velocity at its end: :math:`x_k\leftarrow x_k-\Sigma_k\Lambda_k^TS^{-1}v(T)`, where
+    :math:`\mathrm{Cov}(x_k,v(T))=\Sigma_k\Lambda_k^T` follows from the error chain. ``literal``: eqs 41-44 (with their
+    index corrected) and the linear removal :math:`v-\frac{t-t_0}{T}v(T)`, :math:`p-\frac{(t-t_0)^2}{2T}v(T)`.
+
+    Notes
+    -----
+    Errors of different motions count as independent. A motion without a stop before it, or with a gap in it, has no velocity
+    to start from: NaN there, and after a gap.
+    """
+    n = len(imu.t)
+    p, v = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+    P = np.full((len(smoothed.t), 3, 3), np.nan)
+    closing: dict[int, float] = {}
+    distance: dict[int, float] = {}
+    chain = markov(smoothed)
+    here, spread, last_stop = np.zeros(3), np.zeros((3, 3)), None
+    for s in segmentation.segments:
+        if not s.motion:
+            rows, at = _inside(imu.t, s.used_start, s.used_end), _inside(smoothed.t, s.used_start, s.used_end)
+            p[rows], v[rows], P[at] = here, 0.0, spread
+            last_stop = s
+            continue
+        following = next((x for x in segmentation.stops if x.start >= s.end - 1e-9), None)
+        if last_stop is None:
+            continue
+        end = following.used_start if following is not None else s.end
+        rows, at = _inside(imu.t, last_stop.used_end, end), _inside(smoothed.t, last_stop.used_end, end)
+        if rows.stop - rows.start < 3 or nodes.gap[at.start : at.stop - 1].any() or abs(s.start - last_stop.end) > 1e-6:
+            break
+        leg = _leg(imu, q, rows, gravity, literal)
+        S, A = _leg_covariance(chain, leg, at, smoothed.t, nodes, settings)
+        dv, dp, C = _close(leg, S, A, smoothed.t[at], following is not None, literal)
+        t_nodes = smoothed.t[at]
+        v[rows] = leg.v + _at(imu.t[rows], t_nodes, dv)
+        p[rows] = here + leg.p + _at(imu.t[rows], t_nodes, dp)
+        P[at] = spread + C
+        distance[s.index] = float(np.sum(np.linalg.norm(np.diff(p[rows], axis=0), axis=1)))
+        if following is not None:
+            closing[s.index] = float(np.linalg.norm(leg.v[-1]))
+        here, spread = p[rows.stop - 1].copy(), P[at.stop - 1].copy()
+        last_stop = None
+    return Position(p, v, P, closing, distance, _usable(P, distance), "literal" if literal else "strapdown")
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One motion integrated from rest: ``v``, ``p``, ``f_n`` (m, 3) at its samples ``t``."""
+
+    t: Array
+    v: Array
+    p: Array
+    f_n: Array
+    R: Array
+
+
+def _leg(imu: Imu, q: Array, rows: slice, gravity: float, literal: bool) -> Leg:
+    t, R = imu.t[rows], rotation.matrix(q[rows])
+    f_n = np.einsum("kij,kj->ki", R, imu.accel_b[rows])
+    a = f_n - np.array([0.0, 0.0, gravity])
+    dt = np.diff(t)[:, None]
+    zero = np.zeros((1, 3))
+    if literal:
+        v = np.concatenate([zero, np.cumsum(a[:-1] * dt, axis=0)])
+        p = np.concatenate([zero, np.cumsum(v[:-1] * dt + 0.5 * a[:-1] * dt**2, axis=0)])
+    else:
+        v = np.concatenate([zero, np.cumsum(0.5 * (a[1:] + a[:-1]) * dt, axis=0)])
+        p = np.concatenate([zero, np.cumsum(v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:]), axis=0)])
+    return Leg(t, v, p, f_n, R)
+
+
+def _leg_covariance(
+    chain: Markov, leg: Leg, at: slice, t_all: Array, nodes: Nodes, settings: Settings
+) -> tuple[Array, Array]:
+    """Covariances (m, 15, 15) of ``[dtheta_n, dbias, dv, dp, dba]`` at the nodes of a leg and its transitions (m - 1, 15, 15)."""
+    t = t_all[at]
+    m = len(t)
+    mean_f = np.stack([_means(leg.t, leg.f_n[:, i], t) for i in range(3)], axis=1)
+    R = np.stack([_means(leg.t, leg.R[:, i, j], t) for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
+    G, tau = -rotation.skew(mean_f), np.diff(t)
+    S, A = np.zeros((m, 15, 15)), np.tile(np.eye(15), (m - 1, 1, 1))
+    S[0, :6, :6] = chain.P[at.start]
+    S[0, 6:9, 6:9] = STILL_M_S**2 * np.eye(3)
+    S[0, 12:, 12:] = settings.imu.accel_bias_sigma**2 * np.eye(3)
+    F, W = chain.F[at.start : at.stop - 1], chain.W[at.start : at.stop - 1]
+    half = 0.5 * tau[:, None, None] * G
+    A[:, :6, :6] = F
+    A[:, 6:9, :6] = half @ F[:, :3]
+    A[:, 6:9, :3] += half
+    A[:, 6:9, 12:] = -tau[:, None, None] * R
+    A[:, 9:12] += 0.5 * tau[:, None, None] * A[:, 6:9]
+    A[:, 9:12, 6:9] = tau[:, None, None] * np.eye(3)
+    B = np.zeros((m - 1, 15, 6))
+    B[:, :6] = np.eye(6)
+    B[:, 6:9, :3], B[:, 9:12, :3] = half, 0.5 * tau[:, None, None] * half
+    noise = B @ W @ B.swapaxes(1, 2)
+    noise[:, 6:9, 6:9] += nodes.noise.accel_density**2 * tau[:, None, None] * np.eye(3)
+    for k in range(m - 1):
+        now = A[k] @ S[k] @ A[k].T + noise[k]
+        S[k + 1] = 0.5 * (now + now.T)
+    return S, A
+
+
+def _close(leg: Leg, S: Array, A: Array, t: Array, closed: bool, literal: bool) -> tuple[Array, Array, Array]:
+    """Return corrections of velocity and position (m, 3) at the nodes, and the position covariance (m, 3, 3) after them."""
+    m = len(t)
+    if not closed:
+        return np.zeros((m, 3)), np.zeros((m, 3)), S[:, 9:12, 9:12]
+    adjoint = np.zeros((m, 3, 15))
+    adjoint[-1, :, 6:9] = np.eye(3)
+    for k in range(m - 2, -1, -1):
+        adjoint[k] = adjoint[k + 1] @ A[k]
+    M = S[:, 6:12] @ adjoint.swapaxes(1, 2)  # Cov([dv, dp]_k, dv_T)
+    end = S[-1, 6:9, 6:9] + STILL_M_S**2 * np.eye(3)
+    if literal:
+        share = (t - t[0]) / (t[-1] - t[0])
+        K = np.concatenate([share[:, None, None] * np.eye(3), (0.5 * share * (t - t[0]))[:, None, None] * np.eye(3)], axis=1)
+    else:
+        K = np.linalg.solve(end, M.swapaxes(1, 2)).swapaxes(1, 2)
+    KM = K @ M.swapaxes(1, 2)
+    covariance = symmetric(S[:, 6:12, 6:12] - KM - KM.swapaxes(1, 2) + K @ end @ K.swapaxes(1, 2))
+    correction = -np.einsum("kij,j->ki", K, leg.v[-1])
+    return correction[:, :3], correction[:, 3:], covariance[:, 3:, 3:]
+
+
+def _inside(t: Array, start: float, end: float) -> slice:
+    return slice(int(np.searchsorted(t, start - 1e-9)), int(np.searchsorted(t, end + 1e-9, side="right")))
+
+
+def _at(t: Array, nodes_t: Array, values: Array) -> Array:
+    return np.stack([np.interp(t, nodes_t, values[:, i]) for i in range(values.shape[1])], axis=1)
+
+
+def _means(t: Array, values: Array, edges: Array) -> Array:
+    """Return the means of a sampled signal between consecutive edges (trapezoid of its integral)."""
+    integral = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
+    return np.asarray(np.diff(np.interp(edges, t, integral)) / np.diff(edges))
+
+
+def _usable(P: Array, distance: Mapping[int, float]) -> bool:
+    """Return whether the largest horizontal sigma stays below a tenth of the distance driven."""
+    total = sum(distance.values())
+    horizontal = np.sqrt(np.nanmax(P[:, 0, 0] + P[:, 1, 1])) if np.isfinite(P).any() else np.inf
+    return bool(horizontal <= UNUSABLE_SHARE * total)

@@ -1,0 +1,90 @@
+"""Recordings of one drive -> ``Log``: roles cast, clocks put in order, SI units, body axes, gaps listed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ..records import Fixes, Imu, Log, Recording, Warn
+from ..settings import Settings
+from .clock import seconds
+from .fixes import Span, fixes_of
+from .imu import ImuRows, imu_rows
+from .roles import Cast, choose
+
+__all__ = ["choose", "prepare"]
+
+INERTIAL = frozenset({"imu", "gyro", "accel"})
+
+
+def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
+    """Make one log in SI units and body axes of the files of one drive.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        As found in the files; several are joined by time.
+    settings : Settings
+        ``map`` and the ``channel`` of each role, ``imu.mounting`` (applied where it is a quaternion; the magnetometer
+        sits in the same box), ``sun.components``, ``time``, ``world.gravity_m_s2``.
+
+    Returns
+    -------
+    Log
+        ``t`` in s since the log's first IMU stamp, also where a window starts later. A clean log carries no warning.
+
+    Raises
+    ------
+    AttestError
+        If there is no IMU, a named channel is missing, the clock steps back, gravity is missing, or too little is left.
+    """
+    files = ", ".join(recording.source.name for recording in recordings)
+    cast = choose(recordings, settings)
+    parts = [cast.channels["imu"]] if "imu" in cast.channels else [cast.channels["gyro"], cast.channels["accel"]]
+    rows = imu_rows(files, parts, settings)
+    span = Span(rows.t0_ns, int(rows.stamps_ns[0]), int(rows.stamps_ns[-1]), settings.time.max_gap_s)
+    warnings = [*(w for recording in recordings for w in recording.warnings), *cast.warnings, *rows.warnings]
+    fixes = _fixes(cast, span, settings, warnings)
+    return Log(
+        sources=tuple(recording.source for recording in recordings),
+        t0_ns=rows.t0_ns,
+        stamps_ns=rows.stamps_ns,
+        imu=Imu(seconds(rows.stamps_ns, rows.t0_ns), rows.gyro_b, rows.accel_b),
+        fixes=fixes,
+        gaps=seconds(rows.holes_ns, rows.t0_ns),
+        coverage=_coverage(rows),
+        warnings=tuple(warnings),
+        history=_history(cast, fixes, rows, settings),
+    )
+
+
+def _fixes(cast: Cast, span: Span, settings: Settings, warnings: list[Warn]) -> dict[str, Fixes]:
+    found = {
+        role: fixes_of(role, channel, span, settings, warnings)
+        for role, channel in cast.channels.items()
+        if role not in INERTIAL
+    }
+    return {role: fixes for role, fixes in found.items() if fixes is not None}
+
+
+def _coverage(rows: ImuRows) -> Mapping[str, float]:
+    """Count IMU rows and seconds: in the window as found, and used. Gaps are not used time."""
+    used = int(rows.stamps_ns.size)
+    holes_ns = int((rows.holes_ns[:, 1] - rows.holes_ns[:, 0]).sum())
+    return {
+        "rows_in": rows.rows_in,
+        "rows_used": used,
+        "rows_dropped": rows.rows_in - used,
+        "seconds_in": rows.seconds_in,
+        "seconds_used": (int(rows.stamps_ns[-1] - rows.stamps_ns[0]) - holes_ns) * 1e-9,
+    }
+
+
+def _history(cast: Cast, fixes: Mapping[str, Fixes], rows: ImuRows, settings: Settings) -> tuple[str, ...]:
+    """Say which channel plays which role, with how many measurements."""
+    lines = []
+    for role, channel in cast.channels.items():
+        count = rows.stamps_ns.size if role in INERTIAL else len(fixes[role].t) if role in fixes else 0
+        lines.append(f"{role}: {channel.name} ({channel.kind}), {count} of {channel.stamps_ns.size}")
+    if settings.imu.mounting != "auto":
+        lines.append(f"imu mounting: body <- sensor {settings.imu.mounting}")
+    return tuple(lines)

@@ -1,0 +1,201 @@
+"""Measurements of absolute and aiding sensors in the units of ``records.Fixes``; what cannot be used is counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..maths import rotation
+from ..records import COLUMNS, Array, Bools, Channel, Fixes, Ints, Warn
+from ..settings import Settings
+from ..settings.units import unit
+from . import units
+from .clock import in_order, seconds
+
+STALE_RUN = 3
+"""More equal values in a row than this are repeats of an old measurement."""
+
+CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps"})
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """The IMU's time: ``t0_ns``, first and last stamp, and by how much a fix may miss it without a word."""
+
+    t0_ns: int
+    start_ns: int
+    end_ns: int
+    slack_s: float
+
+
+Values = tuple[Array, Array | None]  # (m, d) in the units of Fixes, sigma (m, k) or None
+
+
+def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnings: list[Warn]) -> Fixes | None:
+    """Make the fixes of one sensor, or None where nothing of it lies in the IMU's time.
+
+    Parameters
+    ----------
+    role : str
+        Any of ``records.ROLES`` but imu, gyro, accel.
+    """
+    values, sigma = CONVERTERS[role](channel, settings, warnings)
+    good = _usable(role, values)
+    bad = int(np.count_nonzero(~good))
+    if bad:
+        message = f"{bad} of {good.size} measurements of {channel.name} ({role}) dropped: {_why(role)}"
+        warnings.append(Warn(f"{role}-dropped", message))
+    stamps_ns, values, sigma = channel.stamps_ns[good], values[good], None if sigma is None else sigma[good]
+    ordered = in_order(channel.name, stamps_ns, values, span.t0_ns, refuse_steps=False)
+    warnings.extend(ordered.warnings)
+    stamps_ns, values = ordered.stamps_ns, values[ordered.rows]
+    sigma = None if sigma is None else sigma[ordered.rows]
+    inside = _inside(role, channel.name, stamps_ns, span, settings, warnings)
+    if not np.any(inside):
+        return None
+    if role in CHECKED_FOR_REPEATS:
+        inside &= _fresh(role, channel.name, values, warnings)
+    t = seconds(stamps_ns[inside], span.t0_ns)
+    return Fixes(role, channel.name, t, values[inside], None if sigma is None else sigma[inside])
+
+
+def _inside(role: str, name: str, stamps_ns: Ints, span: Span, settings: Settings, warnings: list[Warn]) -> Bools:
+    """Tell the fixes within the IMU's span; say where none is, or where some are left out that no window cut off."""
+    inside: Bools = (stamps_ns >= span.start_ns) & (stamps_ns <= span.end_ns)
+    windowed = settings.time.start_s is not None or settings.time.end_s is not None
+    if not stamps_ns.size:
+        return inside
+    if not np.any(inside):
+        first, last = ((int(stamps_ns[k]) - span.start_ns) * 1e-9 for k in (0, -1))
+        imu_s = (span.end_ns - span.start_ns) * 1e-9
+        spans = f"{first:.1f} to {last:.1f} s after the IMU's start, the IMU 0 to {imu_s:.1f} s"
+        message = f"{name} ({role}) spans {spans}: not used"
+        warnings.append(
+            Warn("no-overlap", message, "" if windowed else "on different clocks? --time log takes the recorder's")
+        )
+        return inside
+    slack = int(span.slack_s * 1e9)
+    far = int(np.count_nonzero((stamps_ns < span.start_ns - slack) | (stamps_ns > span.end_ns + slack)))
+    if far and not windowed:
+        message = f"{far} of {stamps_ns.size} measurements of {name} ({role}) dropped: outside the IMU's time"
+        warnings.append(Warn("outside-imu-span", message))
+    return inside
+
+
+def _usable(role: str, values: Array) -> Bools:
+    """Tell the rows that hold a measurement; zero vectors and quaternions are none."""
+    needed = {"odometry": 1, "gps": 2, "position": 2}.get(role, values.shape[1])
+    usable: Bools = np.all(np.isfinite(values[:, :needed]), axis=1)
+    return usable & (np.abs(values[:, 0]) <= np.pi / 2) if role == "gps" else usable
+
+
+def _why(role: str) -> str:
+    reasons = {"sun": "zero or not finite", "orientation": "zero or not finite", "gps": "no fix, or no such place"}
+    return reasons.get(role, "not finite")
+
+
+def _fresh(role: str, name: str, values: Array, warnings: list[Warn]) -> Bools:
+    """Tell measurements from exact repeats in long runs: a sensor that repeats itself has not measured."""
+    starts = np.append(np.True_, np.any(values[1:] != values[:-1], axis=1))
+    runs = np.diff(np.append(np.flatnonzero(starts), starts.size))
+    fresh: Bools = starts | ~np.repeat(runs > STALE_RUN, runs)
+    stale = int(np.count_nonzero(~fresh))
+    if stale:
+        what = f"{stale} of {len(values)} measurements of {name} ({role})"
+        message = f"{what} dropped: exact repeats, up to {runs.max()} in a row"
+        warnings.append(
+            Warn("stale-repeats", message, "a repeat is no new measurement; leave blank what was not measured")
+        )
+    return fresh
+
+
+def _columns(channel: Channel, names: tuple[str, ...], target: str) -> Array:
+    return units.in_si(channel, names, target).values
+
+
+def _sun(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001 (converters share a signature)
+    names = tuple(
+        name for name in COLUMNS["sun"] if name in channel.values and np.any(np.isfinite(channel.values[name]))
+    )
+    values = (
+        np.stack([channel.values[name] for name in names], axis=1) if names else np.empty((channel.stamps_ns.size, 0))
+    )
+    norms = np.linalg.norm(values, axis=1, keepdims=True)
+    if len(names) == 3:
+        values = values / np.where(norms > 0.0, norms, np.nan)
+        return (values[:, :2] if settings.sun.components == 2 else values), None
+    return np.where(norms > 0.0, values, np.nan), None
+
+
+def _magnetometer(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:
+    values = units.magnetometer(channel, COLUMNS["magnetometer"], warnings)
+    if settings.imu.mounting != "auto":  # it sits in the same box as the IMU
+        values = values @ rotation.matrix(np.array(settings.imu.mounting)).T
+    return values, None
+
+
+def _compass(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    heading = channel.values["compass_deg"]
+    finite = heading[np.isfinite(heading)]
+    stated = channel.units.get("compass_deg", "")
+    if not stated and finite.size > 1 and np.ptp(finite) > 0.0 and np.abs(finite).max() <= 2.0 * np.pi:
+        largest = np.abs(finite).max()
+        message = f"channel {channel.name}: compass states no unit, its largest value is {largest:.3f}: taken as rad"
+        warnings.append(Warn("unit-guessed", message, "state the unit in the header"))
+        return heading[:, None], None
+    return heading[:, None] * unit(stated or "deg")[0], None
+
+
+def _orientation(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    q = np.stack([channel.values[name] for name in COLUMNS["orientation"]], axis=1)
+    norms = np.linalg.norm(q, axis=1, keepdims=True)
+    return q / np.where(norms > 0.0, norms, np.nan), None
+
+
+def _odometry(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    names = tuple(name for name in COLUMNS["odometry"] if name in channel.values) or ("speed",)
+    values = np.full((channel.stamps_ns.size, 3), np.nan)
+    values[:, : len(names)] = _columns(channel, names, "m/s")
+    sigmas = tuple(f"velocity_sigma_{axis}" for axis in "xyz")
+    return values, _columns(channel, sigmas, "m/s") if set(sigmas) <= channel.values.keys() else None
+
+
+def _gps(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    place = _columns(channel, ("latitude", "longitude"), "rad") if channel.units.get("latitude") else None
+    if place is None:
+        place = np.radians(np.stack([channel.values["latitude"], channel.values["longitude"]], axis=1))
+    has_height = "altitude" in channel.values
+    height = _columns(channel, ("altitude",), "m") if has_height else np.full((channel.stamps_ns.size, 1), np.nan)
+    if "gps_sigma_m" not in channel.values:
+        return np.concatenate([place, height], axis=1), None
+    level = channel.values["gps_sigma_m"]
+    up = channel.values.get("gps_sigma_up_m", level)
+    sigma = np.stack([level, level, np.where(np.isfinite(up), up, level)], axis=1)
+    return np.concatenate([place, height], axis=1), sigma
+
+
+def _position(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    values = np.full((channel.stamps_ns.size, 3), np.nan)
+    names = tuple(name for name in COLUMNS["position"] if name in channel.values)
+    values[:, : len(names)] = _columns(channel, names, "m")
+    return values, None
+
+
+def _temperature(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    kelvin = channel.units.get("temperature_c", "") == "K"
+    return channel.values["temperature_c"][:, None] - (273.15 if kelvin else 0.0), None
+
+
+CONVERTERS: Mapping[str, Callable[[Channel, Settings, list[Warn]], Values]] = {
+    "sun": _sun,
+    "magnetometer": _magnetometer,
+    "compass": _compass,
+    "orientation": _orientation,
+    "odometry": _odometry,
+    "gps": _gps,
+    "position": _position,
+    "temperature": _temperature,
+}
+"""Role -> function from a channel to values and sigmas in the units of ``Fixes``."""

@@ -1,0 +1,170 @@
+"""The IMU of a drive: halves merged, rows that cannot be used dropped and counted, SI, body axes, holes listed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import AttestError
+from ..maths import rotation
+from ..records import COLUMNS, Array, Channel, Ints, Warn
+from ..settings import Settings
+from . import units
+from .clock import STEP_BACK_NS, gaps, in_order, seconds
+
+MIN_ROWS = 50
+MIN_SECONDS = 2.0
+LISTED_GAPS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ImuRows:
+    """IMU samples in SI and body axes with what was lost on the way. ``holes_ns`` (g, 2)."""
+
+    t0_ns: int
+    stamps_ns: Ints
+    gyro_b: Array
+    accel_b: Array
+    holes_ns: Ints
+    rows_in: int
+    seconds_in: float
+    warnings: tuple[Warn, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Stamps and raw values (n, 3 or 6) of one channel inside the window, in order."""
+
+    channel: Channel
+    stamps_ns: Ints
+    values: Array
+    rows_in: int
+
+
+def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRows:
+    """Make the IMU of one channel, or of a gyro and an accelerometer channel.
+
+    Parameters
+    ----------
+    files : str
+        Names of the files, for messages.
+    parts : one imu channel, or gyro and accel
+
+    Raises
+    ------
+    AttestError
+        If a column is empty, the clock steps back, gravity is missing, or too little is left.
+    """
+    warnings: list[Warn] = []
+    t0_ns = first_stamp(parts[0].stamps_ns)
+    ordered = [_in_window(files, part, t0_ns, settings, warnings) for part in parts]
+    first = ordered[0]
+    _enough(files, first.stamps_ns)
+    seconds_in = float(first.stamps_ns[-1] - first.stamps_ns[0]) * 1e-9
+    stamps_ns, table = (
+        (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
+    )
+    _enough(files, stamps_ns)
+    t = seconds(stamps_ns, t0_ns)
+    halves = [
+        Channel(
+            part.name,
+            part.kind,
+            part.role,
+            stamps_ns,
+            {n: table[:, COLUMNS["imu"].index(n)] for n in names},
+            part.units,
+        )
+        for part, names in ((parts[0], COLUMNS["gyro"]), (parts[-1], COLUMNS["accel"]))
+    ]
+    accel = units.accelerometer(halves[1], COLUMNS["accel"], t, settings.world.gravity_m_s2, warnings)
+    gyro = units.gyroscope(halves[0], COLUMNS["gyro"], t, accel, warnings)
+    if settings.imu.mounting != "auto":
+        R_bs = rotation.matrix(np.array(settings.imu.mounting))
+        gyro, accel = gyro @ R_bs.T, accel @ R_bs.T
+    holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
+    if holes_ns.size:
+        warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns)))
+    return ImuRows(t0_ns, stamps_ns, gyro, accel, holes_ns, first.rows_in, seconds_in, tuple(warnings))
+
+
+def first_stamp(stamps_ns: Ints) -> int:
+    """Return the earliest stamp at the start of a channel, whose first rows may be swapped."""
+    later = stamps_ns > stamps_ns[0] + STEP_BACK_NS
+    end = int(np.argmax(later)) if np.any(later) else stamps_ns.size
+    near = stamps_ns[:end]
+    return int(near[near > stamps_ns[0] - STEP_BACK_NS].min())
+
+
+def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, warnings: list[Warn]) -> _Rows:
+    """Cut to the window, drop rows that are not finite, put the rest in order."""
+    names = COLUMNS[channel.role]
+    start, end = _window(channel.stamps_ns, t0_ns, settings)
+    stamps_ns = channel.stamps_ns[start:end]
+    values = np.stack([channel.values[name][start:end] for name in names], axis=1)
+    finite = np.isfinite(values)
+    if values.size and not finite.any(axis=0).all():
+        empty = names[int(np.argmin(finite.any(axis=0)))]
+        raise AttestError(
+            f"{files}: column {empty} of {channel.name} is empty", "map another channel, or repair the export"
+        )
+    good = finite.all(axis=1)
+    lost = int(np.count_nonzero(~good))
+    if lost:
+        counts = ", ".join(f"{name} {n}" for name, n in zip(names, np.sum(~finite, axis=0), strict=True) if n)
+        message = f"{files}: {lost} of {good.size} rows of {channel.name} dropped, not finite: {counts}"
+        warnings.append(Warn("imu-not-finite", message))
+    ordered = in_order(f"{files}: {channel.name}", stamps_ns[good], values[good], t0_ns)
+    warnings.extend(ordered.warnings)
+    return _Rows(channel, ordered.stamps_ns, values[good][ordered.rows], good.size)
+
+
+def _window(stamps_ns: Ints, t0_ns: int, settings: Settings) -> tuple[int, int]:
+    """Return the rows from the first at ``start_s`` to the first after ``end_s``, since the start of the log."""
+    start, end = 0, int(stamps_ns.size)
+    if settings.time.start_s is not None:
+        start = int(
+            np.argmax(np.append(stamps_ns, np.iinfo(np.int64).max) >= t0_ns + round(settings.time.start_s * 1e9))
+        )
+    if settings.time.end_s is not None:
+        after = stamps_ns[start:] > t0_ns + round(settings.time.end_s * 1e9)
+        end = start + int(np.argmax(after)) if np.any(after) else end
+    return start, end
+
+
+def _enough(files: str, stamps_ns: Ints) -> None:
+    seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9 if stamps_ns.size else 0.0
+    if stamps_ns.size < MIN_ROWS or seconds < MIN_SECONDS:
+        message = f"{files}: only {stamps_ns.size} usable IMU rows over {seconds:.2f} s"
+        raise AttestError(message, f"attest needs at least {MIN_ROWS} rows and {MIN_SECONDS:g} s")
+
+
+def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn]) -> tuple[Ints, Array]:
+    """Interpolate the accelerometer onto the gyro's stamps, never across a hole of its own."""
+    if not accel.stamps_ns.size or accel.stamps_ns[0] > gyro.stamps_ns[-1] or accel.stamps_ns[-1] < gyro.stamps_ns[0]:
+        message = f"{gyro.channel.name} and {accel.channel.name} do not overlap in time"
+        raise AttestError(message, "are their clocks the same? --time log takes the recorder's")
+    inside = (gyro.stamps_ns >= accel.stamps_ns[0]) & (gyro.stamps_ns <= accel.stamps_ns[-1])
+    for start, end in gaps(accel.stamps_ns, settings.time.max_gap_s):
+        inside &= (gyro.stamps_ns <= start) | (gyro.stamps_ns >= end)
+    stamps_ns = gyro.stamps_ns[inside]
+    origin = int(gyro.stamps_ns[0])
+    t, ta = seconds(stamps_ns, origin), seconds(accel.stamps_ns, origin)
+    force = np.stack([np.interp(t, ta, column) for column in accel.values.T], axis=1)
+    lost = int(np.count_nonzero(~inside))
+    if lost > 0.01 * inside.size:
+        message = f"{lost} of {inside.size} rows of {gyro.channel.name} dropped: {accel.channel.name} has none there"
+        warnings.append(Warn("imu-half-missing", message))
+    return stamps_ns, np.concatenate([gyro.values[inside], force], axis=1)
+
+
+def _told_gaps(files: str, holes: Array) -> Warn:
+    lengths = holes[:, 1] - holes[:, 0]
+    shown = ", ".join(
+        f"{length:.2f} s from {start:.2f} s" for start, length in zip(holes[:LISTED_GAPS, 0], lengths, strict=False)
+    )
+    more = f" and {len(holes) - LISTED_GAPS} more" if len(holes) > LISTED_GAPS else ""
+    message = f"{files}: {len(holes)} gaps in the IMU, {lengths.sum():.2f} s in all: {shown}{more}"
+    return Warn("imu-gap", message, "nothing is integrated across a gap; the sigma grows there")

@@ -1,0 +1,156 @@
+"""Which channel plays which role: files of one drive joined, settings first, then type and names."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..errors import AttestError
+from ..records import COLUMNS, ROLES, Channel, Recording, Warn
+from ..settings import Settings
+
+JOIN_OVERLAP_NS = 1_000_000_000
+"""Channels of one name in several files that overlap by more are different sensors, not parts of one drive."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cast:
+    """The chosen channel of each role; ``others``: channels that play none."""
+
+    channels: Mapping[str, Channel]
+    others: tuple[Channel, ...] = ()
+    warnings: list[Warn] = field(default_factory=list)
+
+
+def choose(recordings: Sequence[Recording], settings: Settings) -> Cast:
+    """Give every role at most one channel: the one that settings name, else the one that is recognised.
+
+    An IMU is never mixed from two. Orientation needs to be named: a device's own filter is no measurement.
+
+    Raises
+    ------
+    AttestError
+        If a named channel does not exist or cannot play its role, or if there is no IMU.
+    """
+    found = joined(recordings)
+    named = _named(found, recordings, settings)
+    cast: dict[str, Channel] = {}
+    warnings: list[Warn] = []
+    for role in ROLES:
+        candidates = [channel for channel in found if channel.role == role and channel.stamps_ns.size]
+        if role in named:
+            cast[role] = named[role]
+        elif candidates and role != "orientation":
+            cast[role] = _best(role, candidates, cast.get("imu"), warnings)
+    if not ("imu" in cast or {"gyro", "accel"} <= cast.keys()):
+        raise AttestError(*_no_imu(recordings, found, cast))
+    if "imu" in cast and not {"gyro", "accel"} & named.keys():
+        cast.pop("gyro", None)
+        cast.pop("accel", None)
+    elif {"gyro", "accel"} <= cast.keys():
+        cast.pop("imu", None)
+    used = {channel.name for channel in cast.values()}
+    return Cast(cast, tuple(channel for channel in found if channel.name not in used), warnings)
+
+
+def joined(recordings: Sequence[Recording]) -> list[Channel]:
+    """Join channels of one name from several files by time; where they overlap they get their file's name instead."""
+    by_name: dict[str, list[tuple[Recording, Channel]]] = {}
+    for recording in recordings:
+        for channel in recording.channels:
+            by_name.setdefault(channel.name, []).append((recording, channel))
+    found = []
+    for name, parts in by_name.items():
+        channels = [channel for _, channel in sorted(parts, key=lambda part: int(part[1].stamps_ns[0]))]
+        follows = all(b.stamps_ns[0] > a.stamps_ns[-1] - JOIN_OVERLAP_NS for a, b in pairwise(channels))
+        alike = len({(channel.role, tuple(channel.values), tuple(channel.units.items())) for channel in channels}) == 1
+        if len(channels) == 1 or (follows and alike):
+            found.append(_concatenated(channels))
+        else:
+            found += [replace(channel, name=f"{recording.source.stem}:{name}") for recording, channel in parts]
+    return found
+
+
+def _concatenated(parts: list[Channel]) -> Channel:
+    if len(parts) == 1:
+        return parts[0]
+    stamps_ns = np.concatenate([part.stamps_ns for part in parts])
+    values = {name: np.concatenate([part.values[name] for part in parts]) for name in parts[0].values}
+    return replace(parts[0], stamps_ns=stamps_ns, values=values)
+
+
+def _named(found: Sequence[Channel], recordings: Sequence[Recording], settings: Settings) -> dict[str, Channel]:
+    """Look up the channels that settings name, by a role's own table or by ``map``."""
+    wanted: dict[str, str] = {}
+    for role in ROLES:
+        channel = getattr(getattr(settings, role, None), "channel", None)
+        if channel is not None:
+            wanted[role] = channel
+    wanted |= {str(role): channel for role, channel in settings.map.items()}
+    return {role: _playing(role, _lookup(name, found, recordings), found) for role, name in wanted.items()}
+
+
+def _lookup(name: str, found: Sequence[Channel], recordings: Sequence[Recording]) -> Channel:
+    for channel in found:
+        if channel.name == name:
+            return channel
+    other = {key: kind for recording in recordings for key, kind in recording.other.items()}
+    files = ", ".join(str(recording.source) for recording in recordings)
+    if name in other:
+        raise AttestError(
+            f"{files}: channel {name!r} is of a kind attest does not read: {other[name]}", "map another channel"
+        )
+    known = [channel.name for channel in found]
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:6]
+    raise AttestError(f"{files}: no channel {name!r}", f"the nearest: {', '.join(near)}")
+
+
+def _playing(role: str, channel: Channel, found: Sequence[Channel]) -> Channel:
+    """Return the channel with the columns of the role; a bare vector takes their names in order."""
+    names = COLUMNS[role]
+    if role == "orientation" and "q_w" not in channel.values:
+        channel = next((c for c in found if c.name == f"{channel.name}#orientation"), channel)
+    columns = [name for name in channel.values if "sigma" not in name]
+    if names[0] in channel.values or (role == "odometry" and "speed" in channel.values):
+        return replace(channel, role=role)
+    if len(columns) == len(names) and not channel.role:
+        return replace(
+            channel, role=role, values={names[k]: channel.values[c] for k, c in enumerate(columns)}, units={}
+        )
+    raise AttestError(
+        f"channel {channel.name!r} ({channel.kind}) cannot be the {role}: it holds {', '.join(columns)}",
+        f"the {role} needs {', '.join(names)}",
+    )
+
+
+def _best(role: str, candidates: list[Channel], imu: Channel | None, warnings: list[Warn]) -> Channel:
+    """Take the channel beside the IMU if there is one, else the one with most rows; say so where it was a choice."""
+    if len(candidates) == 1:
+        return candidates[0]
+    if imu is not None:
+        beside = [channel for channel in candidates if channel.name.rpartition("/")[0] == imu.name.rpartition("/")[0]]
+        if len(beside) == 1:
+            return beside[0]
+    best = max(candidates, key=lambda channel: channel.stamps_ns.size)  # rate x span; the first of equals
+    names = ", ".join(f"{channel.name} ({channel.stamps_ns.size} rows)" for channel in candidates)
+    what = "IMUs" if role == "imu" else f"channels for {role}"
+    hint = f'[{role}] channel = "..." takes another'
+    warnings.append(Warn("several-channels", f"{len(candidates)} {what}: {names}; {best.name} is used", hint))
+    return best
+
+
+def _no_imu(recordings: Sequence[Recording], found: Sequence[Channel], cast: Mapping[str, Channel]) -> tuple[str, str]:
+    files = ", ".join(str(recording.source) for recording in recordings)
+    half = next((role for role in ("gyro", "accel") if role in cast), None)
+    if half is not None:
+        other = "accelerometer" if half == "gyro" else "gyro"
+        return (
+            f"{files}: no {other} beside {cast[half].name}",
+            f"hand in the file that holds it, or map {other[:5]} to its channel",
+        )
+    names = ", ".join(f"{channel.name} ({channel.role or channel.kind})" for channel in found) or "no channel"
+    return f"{files}: no IMU; found {names}", "attest needs gyro and accelerometer: map imu to their channel"

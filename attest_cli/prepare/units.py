@@ -1,0 +1,197 @@
+"""Values of channels in SI: by the unit that is stated, held against physics; by physics alone where none is stated."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import AttestError
+from ..records import Array, Channel, Warn
+from ..settings.units import unit
+
+SI: Mapping[str, str] = {"gyro": "rad/s", "accel": "m/s^2", "mag": "T"}
+"""Quantity -> its SI unit, assumed where none is stated and physics does not object."""
+
+ACCEL_UNITS = ("m/s^2", "g", "mg", "cm/s^2")
+MAG_UNITS = ("uT", "T", "Gauss", "mGauss", "nT")
+FIELD_T = (1e-5, 1.5e-4)  # fields met on Earth's surface, with the iron of a vehicle
+UNIT_FIELD_T = 5e-5  # what a normalised field is scaled to: its direction is all it holds
+FASTEST_GYRO = 35.0  # rad/s: 2000 deg/s, the widest range of common gyros
+
+WINDOW_S = 0.5  # over which the specific force is averaged to show gravity
+LARGEST_TURN = 0.5  # rad: above it a window is too long for the comparison
+MIN_WINDOWS = 4
+AGREEMENT = 0.4  # share of the turning of gravity explained, from which the gyro's unit is told
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Columns of a channel in SI: ``values`` (n, k); ``stated``: the unit in the file, empty if none."""
+
+    values: Array
+    stated: str
+
+
+def in_si(channel: Channel, names: Sequence[str], target: str) -> Quantity:
+    """Convert columns to SI by their stated units; a column without one has that of its neighbours.
+
+    Raises
+    ------
+    AttestError
+        If a unit is not known, or measures something else than ``target``.
+    """
+    stated = Counter(name for key in names if (name := channel.units.get(key, "")))
+    usual = stated.most_common(1)[0][0] if stated else ""
+    _, wanted = unit(target)
+    columns = []
+    for key in names:
+        name = channel.units.get(key, "") or usual or target
+        try:
+            factor, dimensions = unit(name)
+        except ValueError:
+            raise AttestError(
+                f"channel {channel.name}: unit {name!r} of {key} is not known", f"give it in {target}"
+            ) from None
+        if dimensions != wanted:
+            raise AttestError(
+                f"channel {channel.name}: {key} is in {name}, which cannot be: {target} expected", "mend the header"
+            )
+        columns.append(channel.values[key] if factor == 1.0 else channel.values[key] * factor)
+    return Quantity(np.stack(columns, axis=1), usual)
+
+
+def accelerometer(channel: Channel, names: Sequence[str], t: Array, gravity: float, warnings: list[Warn]) -> Array:
+    """Return specific force, m/s^2 (n, 3). What stays when it is averaged must be gravity: that tells a wrong unit.
+
+    Raises
+    ------
+    AttestError
+        If gravity is missing from the values: then no attitude can be had from them.
+    """
+    quantity = in_si(channel, names, SI["accel"])
+    still = _steady_norm(t, quantity.values)
+    if 0.5 < still / gravity < 2.0:
+        return quantity.values
+    here = unit(quantity.stated or SI["accel"])[0]
+    for name in ACCEL_UNITS:
+        ratio = unit(name)[0] / here
+        if 0.8 < still * ratio / gravity < 1.25:
+            warnings.append(
+                _told(channel, "accelerometer", quantity.stated, name, f"its steady part is {still / here:.4g}")
+            )
+            return quantity.values * ratio
+    if still < 0.3 * gravity:
+        message = f"channel {channel.name}: no gravity in the accelerometer: its steady part is {still:.2f} m/s^2"
+        raise AttestError(message, "record the raw specific force (linear acceleration without gravity shows no tilt)")
+    message = (
+        f"channel {channel.name}: the steady part of the accelerometer is {still:.2f} m/s^2, gravity {gravity:.2f}"
+    )
+    warnings.append(Warn("accel-scale", message, "check its unit and calibration"))
+    return quantity.values
+
+
+def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, warnings: list[Warn]) -> Array:
+    """Return angular rate, rad/s (n, 3). The turning of gravity in the accelerometer tells degrees from radians.
+
+    Parameters
+    ----------
+    t : (n,) s, ``accel`` (n, 3) m/s^2 at the gyro's samples
+    """
+    quantity = in_si(channel, names, SI["gyro"])
+    taken = quantity.stated or SI["gyro"]
+    other = "rad/s" if taken == "deg/s" else "deg/s"
+    ratio = unit(other)[0] / unit(taken)[0]
+    as_taken, as_other = (turning(t, quantity.values * factor, accel) for factor in (1.0, ratio))
+    if as_other > max(AGREEMENT, as_taken):
+        fact = f"the turning of gravity agrees with {other} ({as_other:.0%} of it explained)"
+        warnings.append(_told(channel, "gyro", quantity.stated, other, fact))
+        return quantity.values * ratio
+    if as_taken < -AGREEMENT:
+        fact = f"{-as_taken:.0%} of the turning of gravity is the gyro's, reversed"
+        message = f"channel {channel.name}: the gyro turns against the accelerometer: {fact}"
+        warnings.append(
+            Warn("gyro-against-accel", message, "check signs and axes; a gyro turns right-handed about its axes")
+        )
+    elif not quantity.stated and as_taken < AGREEMENT:
+        fastest = float(np.max(np.abs(quantity.values), initial=0.0))
+        name = "deg/s" if fastest > FASTEST_GYRO else "rad/s"
+        warnings.append(_told(channel, "gyro", "", name, f"its largest value is {fastest:.4g}"))
+        return quantity.values * unit(name)[0]
+    return quantity.values
+
+
+def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -> Array:
+    """Return the magnetic field, tesla (m, 3); a normalised one is scaled to 50 uT."""
+    quantity = in_si(channel, names, SI["mag"])
+    norms = np.linalg.norm(quantity.values, axis=1)
+    norms = norms[np.isfinite(norms) & (norms > 0.0)]
+    if not norms.size or (quantity.stated and FIELD_T[0] < np.median(norms) < FIELD_T[1]):
+        return quantity.values
+    median, here = float(np.median(norms)), unit(quantity.stated or SI["mag"])[0]
+    fact = f"its median norm is {median / here:.4g}"
+    if abs(median / here - 1.0) < 0.1 and float(np.std(norms)) < 0.1 * median:
+        warnings.append(_told(channel, "magnetometer", quantity.stated, "a normalised field", fact))
+        return quantity.values * (UNIT_FIELD_T / here)
+    for name in MAG_UNITS:
+        ratio = unit(name)[0] / here
+        if FIELD_T[0] < median * ratio < FIELD_T[1]:
+            warnings.append(_told(channel, "magnetometer", quantity.stated, name, fact))
+            return quantity.values * ratio
+    return quantity.values if quantity.stated else quantity.values * 1e-6
+
+
+def turning(t: Array, gyro: Array, accel: Array) -> float:
+    r"""Compare the gyro (rad/s) with the turning of the specific force's direction u.
+
+    Between windows that turn by less than half a radian, :math:`\Delta u = -\theta \times u` with the gyro's angle
+    :math:`\theta`. Returns the agreement: the share of :math:`\Delta u` that this explains, negative if reversed;
+    0 where nothing turns or gravity does not stand out. A wrong scale explains little: 1/57 of it, or nothing.
+    """
+    edges = _windows(t)
+    if edges.size < MIN_WINDOWS:
+        return 0.0
+    counts = np.diff(edges)[:, None]
+    force, rate = (np.add.reduceat(values, edges[:-1], axis=0) / counts for values in (accel, gyro))
+    middle = np.add.reduceat(t, edges[:-1]) / counts[:, 0]
+    norms = np.linalg.norm(force, axis=1)
+    u = force / np.where(norms > 0.0, norms, 1.0)[:, None]
+    seen, step = np.diff(u, axis=0), np.diff(middle)
+    angle = 0.5 * (rate[1:] + rate[:-1]) * step[:, None]
+    expected = -np.cross(angle, 0.5 * (u[1:] + u[:-1]))
+    near = np.abs(norms / np.median(norms) - 1.0) < 0.1
+    good = near[1:] & near[:-1] & (np.linalg.norm(angle, axis=1) < LARGEST_TURN) & (step < 2.0 * WINDOW_S)
+    seen, expected = seen[good], expected[good]
+    total = float(np.sum(seen**2))
+    if np.count_nonzero(good) < MIN_WINDOWS or total == 0.0:
+        return 0.0
+    explained = 1.0 - float(np.sum((seen - expected) ** 2)) / total
+    against = 1.0 - float(np.sum((seen + expected) ** 2)) / total
+    return max(explained, 0.0) if explained >= against else -max(against, 0.0)
+
+
+def _steady_norm(t: Array, accel: Array) -> float:
+    """Return the median norm of the specific force averaged over windows: vibration averages out, gravity stays."""
+    edges = _windows(t)
+    means = np.add.reduceat(accel, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    return float(np.median(np.linalg.norm(means, axis=1)))
+
+
+def _windows(t: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return the first sample of each window and the end, in a log that may have gaps."""
+    number = np.floor((t - t[0]) / WINDOW_S)
+    starts = np.flatnonzero(np.diff(number, prepend=-1.0))
+    return np.append(starts, t.size).astype(np.int64)
+
+
+def _told(channel: Channel, what: str, stated: str, taken: str, fact: str) -> Warn:
+    if stated:
+        message = f"channel {channel.name}: {what} stated in {stated}, but {fact}: taken as {taken}"
+        return Warn("unit-contradicted", message, "mend the unit in the header")
+    return Warn(
+        "unit-guessed",
+        f"channel {channel.name}: {what} states no unit, {fact}: taken as {taken}",
+        "state the unit in the header",
+    )

@@ -1,0 +1,111 @@
+"""Readers: a file -> ``Recording``, chosen by its first bytes, then by its suffix. Modules are imported on use."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..errors import AttestError
+from ..records import Recording
+from ..settings import Settings
+
+READERS: Mapping[str, str] = {
+    "csv": "attest_cli.readers.csv_log",
+    "parquet": "attest_cli.readers.parquet_log",
+    "mcap": "attest_cli.readers.mcap_log",
+}
+"""Format -> module with ``read(path, settings) -> Recording``."""
+
+MAGIC: Mapping[bytes, str] = {b"\x89MCAP0\r\n": "mcap", b"PAR1": "parquet"}
+"""First bytes of a file -> format."""
+
+SUFFIXES: Mapping[str, str] = {
+    ".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".pq": "parquet", ".mcap": "mcap",
+}  # fmt: skip
+"""Suffix -> format, where the first bytes do not tell."""
+
+UNREADABLE: Mapping[bytes, tuple[str, str]] = {
+    b"#ROSBAG V": ("a ROS 1 bag", "convert it to MCAP, for instance with rosbags-convert or mcap convert"),
+    b"ULog\x01\x12\x35": ("a PX4 ULog", "convert it to CSV, for instance with ulog2csv"),
+    b"SQLite format 3\x00": ("an SQLite file (a ROS 2 bag of old?)", "convert it with ros2 bag convert -o to MCAP"),
+    b"PK\x03\x04": ("a zip archive or spreadsheet", "unpack it, or save the sheet as CSV"),
+    b"\x1f\x8b": ("a gzip file", "unpack it with gunzip"),
+    b"\x28\xb5\x2f\xfd": ("a zstd file", "unpack it with zstd -d"),
+    b"\xff\xfe": ("UTF-16 text", "save it as UTF-8"),
+    b"\xfe\xff": ("UTF-16 text", "save it as UTF-8"),
+}
+"""First bytes of files that people hand in -> what they are, and the way out."""
+
+
+def format_of(path: Path) -> str:
+    """Tell the format of a log: by its first bytes, then by its suffix.
+
+    Raises
+    ------
+    AttestError
+        If the file is missing, a folder, empty, not readable, or of no format that attest reads.
+    """
+    head = _first_bytes(path)
+    for magic, name in MAGIC.items():
+        if head.startswith(magic):
+            return name
+    for magic, (what, way_out) in UNREADABLE.items():
+        if head.startswith(magic):
+            raise AttestError(f"{path}: this is {what}, which attest does not read", way_out)
+    expected = SUFFIXES.get(path.suffix.lower(), "csv")
+    if expected != "csv":
+        raise AttestError(
+            f"{path}: not {expected.upper()}: its first bytes are {head[:8]!r}", "is the file damaged or misnamed?"
+        )
+    if b"\x00" in head:
+        raise AttestError(f"{path}: neither MCAP, Parquet nor text", f"attest reads {', '.join(READERS)}")
+    return expected
+
+
+def read(path: Path, settings: Settings) -> Recording:
+    """Read every channel of interest of one log.
+
+    Parameters
+    ----------
+    path : Path
+        CSV, Parquet or MCAP file.
+    settings : Settings
+        Only ``settings.time.source`` matters here: which stamp of a message counts.
+
+    Returns
+    -------
+    Recording
+        Channels with stamps in int64 ns and values in the units that the file states.
+
+    Raises
+    ------
+    AttestError
+        For every fault of the file, in one line.
+    """
+    reader = importlib.import_module(READERS[format_of(path)])
+    recording: Recording = reader.read(path, settings)
+    return recording
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(4096)
+    except FileNotFoundError:
+        raise AttestError(f"{path}: no such file", _nearby(path)) from None
+    except IsADirectoryError:
+        raise AttestError(f"{path}: this is a folder", "name the log file itself") from None
+    except OSError as error:
+        raise AttestError(f"{path}: cannot be read: {error.strerror}") from None
+    if not head:
+        raise AttestError(f"{path}: the file is empty", "was the recording or the copy cut short?")
+    return head
+
+
+def _nearby(path: Path) -> str:
+    """Name the file in the same folder that was probably meant."""
+    names = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
+    near = difflib.get_close_matches(path.name, names, n=1)
+    return f"did you mean {path.parent / near[0]}?" if near else "check the name"

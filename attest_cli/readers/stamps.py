@@ -1,0 +1,117 @@
+"""Time columns -> int64 nanoseconds, exactly: decimals are read as decimals, never through a float."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ..errors import AttestError
+from ..records import Array, Ints, Warn
+
+DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+"""Unit of time -> decimals down to the nanosecond."""
+
+EPOCH_S = (6.3e8, 4.1e9)  # 1990 to 2100: seconds that are a date
+PERIOD_S = (1e-4, 1.0)  # periods an IMU can have
+NUMBER = r"^\s*[-+]?\d*\.?\d*([eE][-+]?\d+)?\s*$"
+"""Text that is a stamp."""
+
+WAY_OUT = 'name the unit in the header: "timestamp_ns", "time [ms]", "t_us"'
+
+
+def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, ...]]:
+    """Infer the unit of a time column that states none, from its magnitude and, for an IMU, from its median step.
+
+    Seconds need no warning (``interface.md``: ``timestamp``, ``time``, ``t`` in s); any other unit is said.
+
+    Raises
+    ------
+    AttestError
+        If none or more than one unit fits.
+    """
+    finite = raw[np.isfinite(raw)]
+    steps = np.diff(finite)
+    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    dated = _fitting(float(np.median(finite)), EPOCH_S) if finite.size else []
+    if imu:
+        found = _fitting(step, PERIOD_S)
+        found = [unit for unit in found if unit in dated] or found
+        if "s" in found and not np.all(finite == np.floor(finite)):  # fractions of a plain `t` are seconds
+            found = ["s"]
+    else:
+        found = dated or ["s"]
+    if len(found) != 1:
+        fits = " and ".join(found) or "no unit"
+        raise AttestError(f"{path}: the unit of time cannot be told: a median step of {step:g} fits {fits}", WAY_OUT)
+    if found[0] == "s":
+        return "s", ()
+    message = f"{path.name}: the time column states no unit; read as {found[0]} by its step of {step:g}"
+    return found[0], (Warn("time-unit-guessed", message, WAY_OUT),)
+
+
+def from_text(column: pa.ChunkedArray, unit: str, path: Path) -> tuple[Ints, Array]:
+    """Read decimal text as ns, exact to the last digit that 1 ns allows. Also where it is valid, as 1.0 or NaN."""
+    digits = DIGITS[unit]
+    try:
+        decimal = pc.cast(column, pa.decimal128(38, digits))
+    except pa.ArrowInvalid:  # digits below 1 ns, or text that is no number
+        pattern = r"^(\s*[-+]?\d+)$" if digits == 0 else rf"^(\s*[-+]?\d*\.?\d{{0,{digits}}})\d*$"
+        number = pc.match_substring_regex(column, NUMBER)
+        column = pc.if_else(number, column, pa.scalar(None, pa.string()))
+        column = pc.replace_substring_regex(column, pattern=pattern, replacement=r"\1")
+        try:
+            decimal = pc.cast(column, pa.decimal128(38, digits))
+        except pa.ArrowInvalid as error:
+            raise AttestError(f"{path}: the time column cannot be read: {_first_line(error)}", WAY_OUT) from None
+    return _low_words(decimal.combine_chunks() if isinstance(decimal, pa.ChunkedArray) else decimal, path)
+
+
+def from_numbers(values: Array | Ints, unit: str) -> tuple[Ints, Array]:
+    """Scale numbers to ns: integers exactly, floats to their own resolution."""
+    factor = 10 ** DIGITS[unit]
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64) * factor, np.ones(values.size)
+    valid = np.isfinite(values)
+    safe = np.where(valid, values, 0.0)
+    whole = np.floor(safe)
+    stamps = whole.astype(np.int64) * factor + np.rint((safe - whole) * factor).astype(np.int64)
+    return stamps, np.where(valid, 1.0, np.nan)
+
+
+def from_dates(column: pa.ChunkedArray) -> tuple[Ints, Array]:
+    """Read Arrow timestamps as ns since the epoch; a missing zone is UTC."""
+    nanoseconds = pc.cast(pc.cast(column, pa.timestamp("ns", column.type.tz)), pa.int64())
+    valid = np.where(np.asarray(pc.is_valid(nanoseconds)), 1.0, np.nan)
+    return np.asarray(pc.fill_null(nanoseconds, 0), dtype=np.int64), valid
+
+
+def parse_dates(column: pa.ChunkedArray, path: Path) -> pa.ChunkedArray:
+    """Parse ISO 8601 text; with or without a zone."""
+    for zone in ("UTC", None):
+        try:
+            return pc.cast(column, pa.timestamp("ns", zone))
+        except pa.ArrowInvalid as error:
+            problem = _first_line(error)
+    raise AttestError(f"{path}: the time column cannot be read: {problem}", "write dates as 2026-06-01T10:00:00.000Z")
+
+
+def _low_words(decimal: pa.Array, path: Path) -> tuple[Ints, Array]:
+    """Take the low 64 bits of 128-bit decimals that count nanoseconds."""
+    words = np.frombuffer(decimal.buffers()[1], np.int64).reshape(-1, 2)[decimal.offset : decimal.offset + len(decimal)]
+    valid = np.asarray(pc.is_valid(decimal), dtype=bool)
+    low, high = words[:, 0], words[:, 1]
+    if np.any((high != low >> 63)[valid]):
+        raise AttestError(f"{path}: stamps beyond the year 2262 in the time column", "is its unit right?")
+    return np.where(valid, low, 0), np.where(valid, 1.0, np.nan)
+
+
+def _fitting(value: float, limits: tuple[float, float]) -> list[str]:
+    """Return the units in which a value lies within limits in s."""
+    return [unit for unit, digits in DIGITS.items() if limits[0] <= value * 10.0 ** (digits - 9) <= limits[1]]
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0]

@@ -1,0 +1,312 @@
+"""``report.json`` from the pieces of a run: every number, warning and check that the pages and the summary show."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from .. import __version__
+from ..assess import Pass
+from ..mounting import Mounting
+from ..nodes.noise import Noise
+from ..position import Position
+from ..records import Array, FilterRun, Innovations, Log, Recording, Segmentation, Smoothed, Warn, World
+from ..settings import Effective
+
+FIRST_EPOCH_NS = 946_684_800 * 10**9  # clocks before 2000 count from a start of their own
+SENSOR_NAMES = {
+    "gravity": "accelerometer at stops",
+    "sun": "sun sensor",
+    "compass": "compass",
+    "magnetometer": "magnetometer",
+    "orientation": "orientation",
+}
+BAND = 1e-4  # two-sided probability outside which a mean NIS is not chance
+MANY_REJECTED = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """All pieces of one run, as the pipeline made them."""
+
+    paths: tuple[Path, ...]
+    recordings: tuple[Recording, ...]
+    log: Log
+    effective: Effective
+    world: World
+    noise: Noise
+    segmentation: Segmentation
+    forward: FilterRun
+    smoothed: Smoothed
+    passes: Mapping[str, Pass]
+    position: Position | None
+    mounting: Mounting | None
+    body: Mapping[str, Any]
+    segments: Sequence[Mapping[str, Any]]
+    advice: Mapping[str, Any]
+    warnings: tuple[Warn, ...]
+    smoother: str
+
+
+def build(run: Run) -> dict[str, Any]:
+    """Return the report without its pages."""
+    checks = _checks(run)
+    found = {
+        "attest_version": __version__,
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "verdict": _verdict(run, checks),
+        "input": _input(run),
+        "channels": _channels(run),
+        "coverage": _coverage(run.log),
+        "settings": _settings(run),
+        "methods": {
+            "filter": "indirect",
+            "smoother": run.smoother,
+            "iterations": run.smoothed.passes,
+            "position": run.position.method if run.position else "none",
+        },
+        "heading": run.forward.heading,
+        "body": dict(run.body),
+        "statistics": _statistics(run),
+        "advice": {k: run.advice[k] for k in ("threshold_deg", "axis", "lines")},
+        "warnings": [{"code": w.code, "message": w.message, "hint": w.hint, "lost": w.lost} for w in run.warnings],
+        "checks": sorted(checks, key=lambda c: ("FAIL", "WARN", "PASS").index(c["status"])),
+        "gaps": [[float(a), float(b)] for a, b in run.log.gaps],
+        "pages": [],
+        "history": [*run.log.history, *run.world.notes],
+    }
+    return found
+
+
+def _input(run: Run) -> dict[str, Any]:
+    t, t0 = run.log.imu.t, run.log.t0_ns
+    used = set(run.forward.innovations.role.tolist())
+    sensors = [name for role, name in SENSOR_NAMES.items() if role in used]
+    if "gravity" in used and not run.segmentation.stops:
+        sensors = [s.replace("accelerometer at stops", "accelerometer over long windows") for s in sensors]
+    if run.position is not None and run.position.method == "odometry":
+        sensors.append("odometry")
+    start = datetime.fromtimestamp(t0 * 1e-9, UTC).isoformat(timespec="milliseconds") if t0 > FIRST_EPOCH_NS else None
+    return {
+        "files": [_file(path, rec) for path, rec in zip(run.paths, run.recordings, strict=True)],
+        "start_utc": start,
+        "duration_s": float(t[-1] - t[0]),
+        "samples": len(t),
+        "rate_hz": float(1.0 / np.median(np.diff(t))) if len(t) > 1 else None,
+        "sensors": sensors,
+    }
+
+
+def _coverage(log: Log) -> dict[str, Any]:
+    found = dict(log.coverage)
+    share = found["seconds_used"] / found["seconds_in"] if found["seconds_in"] > 0 else 1.0
+    rows = {key: int(value) for key, value in found.items() if key.startswith("rows")}
+    return {**found, **rows, "share": float(min(share, 1.0))}
+
+
+def _file(path: Path, recording: Recording) -> dict[str, Any]:
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return {
+        "name": path.name,
+        "path": str(path),
+        "bytes": path.stat().st_size,
+        "sha256": digest,
+        "format": recording.format,
+    }
+
+
+def _channels(run: Run) -> list[dict[str, Any]]:
+    used = {f.channel: role for role, f in run.log.fixes.items()}
+    rows = []
+    for c in (c for r in run.recordings for c in r.channels):
+        span = float(c.stamps_ns[-1] - c.stamps_ns[0]) * 1e-9 if len(c.stamps_ns) > 1 else 0.0
+        rows.append(
+            {
+                "name": c.name,
+                "kind": c.kind,
+                "role": c.role if c.role in {"imu", "gyro", "accel"} else used.get(c.name, ""),
+                "rows": len(c.stamps_ns),
+                "rate_hz": (len(c.stamps_ns) - 1) / span if span > 0 else None,
+                "unit_note": ", ".join(sorted({u for u in c.units.values() if u})),
+            }
+        )
+    return rows
+
+
+def _settings(run: Run) -> dict[str, Any]:
+    """Effective values: what the settings leave open stands with what the log gave."""
+    flat: dict[str, Any] = {}
+    for section, values in run.effective.settings.model_dump(mode="json").items():
+        if isinstance(values, Mapping):
+            flat |= {f"{section}.{key}": value for key, value in values.items()}
+    sources = run.effective.sources
+    out = {key: {"value": value, "source": sources.get(key, "default")} for key, value in flat.items()}
+    figures = {
+        "gyro_noise_density": run.noise.gyro_density,
+        "gyro_random_walk": run.noise.gyro_walk,
+        "accel_noise_density": run.noise.accel_density,
+    }
+    for key, value in figures.items():
+        if run.noise.sources[key] != "settings":
+            out[f"imu.{key}"] = {"value": value, "source": run.noise.sources[key]}
+    return out
+
+
+def _sigma(run: Run, name: str) -> tuple[Array, Array]:
+    """Return heading and tilt sigma of a pass, deg, where it is known."""
+    sigma = np.degrees(run.passes[name].sigma_n())
+    sigma = sigma[np.isfinite(sigma).all(axis=1)]
+    return sigma[:, 2], np.hypot(sigma[:, 0], sigma[:, 1])
+
+
+def _statistics(run: Run) -> dict[str, Any]:
+    heading, tilt = _sigma(run, "smoothed")
+    forward_heading, _ = _sigma(run, "forward")
+    motions = [r for r in run.segments if r["kind"] == "motion"]
+    apart = [r[f"separation_{a}_sigma"] for r in motions for a in _axes(run) if r[f"separation_{a}_sigma"] is not None]
+    dt = np.diff(run.log.imu.t)
+    bias = np.degrees(run.smoothed.bias)
+    s = run.segmentation
+    return {
+        "sigma_heading_median_deg": float(np.median(heading)),
+        "sigma_heading_max_deg": float(np.max(heading)),
+        "sigma_tilt_median_deg": float(np.median(tilt)),
+        "sigma_tilt_max_deg": float(np.max(tilt)),
+        "forward_sigma_heading_max_deg": float(np.max(forward_heading)),
+        **_position_numbers(run.position),
+        "motions": len(s.motions),
+        "stops": len(s.stops),
+        "separation_checks": len(apart),
+        "separation_inside_2sigma": int(np.sum(np.abs(apart) <= 2.0)) if apart else 0,
+        "innovations": _innovations(run.forward.innovations),
+        "forward_over_threshold_share": run.advice["share_over"],
+        "longest_smoothed_drive_s": run.advice["longest_s"],
+        "gyro_bias_drift_deg_s": float(np.max(np.ptp(bias, axis=0))),
+        "gap_count": len(run.log.gaps),
+        "jitter_ms": float(1e3 * np.percentile(np.abs(dt - np.median(dt)), 95)) if len(dt) else None,
+        "detector": {"enter": s.enter, "leave": s.leave, "margin": s.margin, "source": s.source},
+    }
+
+
+def _axes(run: Run) -> str:
+    """Return the axes whose separation says something: heading only where it is measured."""
+    return "xy" if run.forward.heading == "relative" else "xyz"
+
+
+def _position_numbers(position: Position | None) -> dict[str, Any]:
+    if position is None:
+        return {"position_usable": False}
+    sigma = np.sqrt(np.einsum("kii->k", position.P[:, :2, :2]))
+    sigma = sigma[np.isfinite(sigma)]
+    if not len(sigma):
+        return {"position_usable": False}
+    return {
+        "position_sigma_median_m": float(np.median(sigma)),
+        "position_sigma_max_m": float(np.max(sigma)),
+        "distance_m": float(sum(position.distance.values())),
+        "position_usable": position.usable,
+    }
+
+
+def _innovations(found: Innovations) -> dict[str, Any]:
+    out = {}
+    for role in dict.fromkeys(found.role.tolist()):
+        mine = found.role == role
+        used = mine & found.used
+        out[role] = {
+            "count": int(mine.sum()),
+            "used": int(used.sum()),
+            "rejected": int((mine & ~found.used).sum()),
+            "mean_nis": float(found.nis[used].mean()) if used.any() else None,
+            "dof": int(found.dof[mine][0]),
+        }
+    return out
+
+
+def _check(name: str, good: bool, fact: str, detail: str) -> dict[str, Any]:
+    return {"name": name, "status": "PASS" if good else "WARN", "fact": fact, "detail": detail}
+
+
+def _checks(run: Run) -> list[dict[str, Any]]:
+    """Return the lines of "What to know": warnings of the log first, then what the run found out about itself."""
+    lines = [_check(w.code, False, w.message, w.hint) for w in run.warnings]
+    lines += _separation_check(run) + _innovation_checks(run.forward.innovations)
+    lines += [c for c in (_position_check(run), _advice_check(run), _data_check(run)) if c is not None]
+    return lines
+
+
+def _separation_check(run: Run) -> list[dict[str, Any]]:
+    s = _statistics(run)
+    total, inside = s["separation_checks"], s["separation_inside_2sigma"]
+    if total == 0:
+        return []
+    expected = total * 0.954
+    good = inside >= expected - 3.0 * np.sqrt(total * 0.954 * 0.046) - 0.5
+    fact = "Forward and backward agree" if good else "Forward and backward disagree"
+    return [_check("separation", bool(good), fact, f"{inside} of {total} segment checks inside 2σ")]
+
+
+def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
+    lines = []
+    for role, s in _innovations(found).items():
+        name = role.replace("_", " ")
+        if s["rejected"]:
+            share = s["rejected"] / s["count"]
+            lines.append(_check(f"rejected-{role}", share <= MANY_REJECTED, f"{s['rejected']} of {s['count']} {name} measurements rejected",
+                                "see the innovations"))  # fmt: skip
+        if s["used"] < 5:
+            continue
+        total = s["used"] * s["dof"]
+        low, high = chdtri(total, 1 - BAND / 2) / s["used"], chdtri(total, BAND / 2) / s["used"]
+        mean = s["mean_nis"]
+        good = mean <= high
+        word = "fit their noise" if low <= mean <= high else "are better than their noise" if good else "are worse than their noise"
+        lines.append(_check(f"innovations-{role}", bool(good), f"{name.capitalize()} innovations {word}",
+                            f"mean NIS {mean:.2g} for {s['dof']} degrees of freedom"))  # fmt: skip
+    return lines
+
+
+def _position_check(run: Run) -> dict[str, Any] | None:
+    s = _position_numbers(run.position)
+    if run.position is None or "position_sigma_max_m" not in s or s["position_usable"]:
+        return None
+    return _check("position", False, "Position is not usable: no sensor aids it",
+                  f"its sigma reaches {s['position_sigma_max_m']:.0f} m; odometry or GPS would hold it")  # fmt: skip
+
+
+def _advice_check(run: Run) -> dict[str, Any] | None:
+    lines, threshold = run.advice["lines"], run.advice["threshold_deg"]
+    if not run.segmentation.stops:
+        return None
+    if not lines:
+        return _check("stop-advice", True, f"Stops were often enough for {threshold:g}°", "the forward sigma never passes it")
+    fact = f"Forward sigma passes {threshold:g}° in {len(lines)} of {len(run.segmentation.motions)} motions"
+    return _check("stop-advice", bool(run.advice["smoothed_below"]), fact, "smoothing stays below it" if run.advice["smoothed_below"] else lines[0])
+
+
+def _data_check(run: Run) -> dict[str, Any] | None:
+    if run.log.warnings or len(run.log.gaps):
+        return None
+    t = run.log.imu.t
+    dt = np.diff(t)
+    rate, jitter = 1.0 / np.median(dt), 1e3 * np.percentile(np.abs(dt - np.median(dt)), 95)
+    return _check("data", True, "No gaps, duplicates or disorder", f"rate {rate:.1f} Hz, jitter {jitter:.2f} ms")
+
+
+def _verdict(run: Run, checks: Sequence[Mapping[str, Any]]) -> str:
+    """FAIL where most of a sensor was rejected or a mean NIS is four times too large: then sigma cannot be trusted."""
+    for s in _innovations(run.forward.innovations).values():
+        if s["rejected"] > 0.5 * s["count"] or (s["used"] >= 5 and s["mean_nis"] > 4.0 * s["dof"]):
+            return "FAIL"
+    limit = run.effective.settings.gate.max_sigma_attitude_deg
+    if limit is not None and np.degrees(np.nanmax(run.passes["smoothed"].sigma_n())) > limit:
+        return "FAIL"
+    return "PASS" if all(c["status"] == "PASS" for c in checks) else "WARN"

@@ -1,0 +1,64 @@
+"""The pages of a result folder: drawn first, then put in place together, and what is stale taken away."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from .. import figures
+from ..errors import AttestError
+from ..records import Result
+from ..writers.files import atomic_write
+from . import html
+
+FOLDER, HTML = "report", "report.html"
+_PAGE = re.compile(r"\d\d-[a-z0-9-]+\.png")
+
+
+def write_pages(
+    result: Result, folder: Path, theme: str | None, progress: Callable[[str, float], None] | None = None
+) -> list[dict[str, str]]:
+    """Draw every page into ``folder/report`` and all of them into ``report.html``.
+
+    Parameters
+    ----------
+    result : Result
+        What the pages are drawn from.
+    folder : Path
+        The result folder.
+    theme : str or None
+        light or dark; None: as the result was drawn before.
+    progress : callable, optional
+        Told the stage and the share done.
+
+    Returns
+    -------
+    list of dict
+        file, title and alt text of each page, in order: ``pages`` of ``report.json``.
+
+    Raises
+    ------
+    AttestError
+        If the result names a page that would leave the folder.
+    """
+    theme = theme or result.report["settings"]["output.theme"]["value"]
+    pictures: list[html.Picture] = []
+    for name, page in figures.pages(result, theme):
+        if not _PAGE.fullmatch(name):
+            raise AttestError(f"{folder}: {name!r} is no name of a page", "innovations.parquet names an unknown sensor")
+        pictures.append(({"file": name, "title": page.title, "alt": page.alt}, page.png()))
+        if progress is not None:
+            progress("drawing pages", min(1.0, len(pictures) / 8))
+    target = folder / FOLDER
+    target.mkdir(exist_ok=True)
+    contents: dict[str, Any] = {entry["file"]: png for entry, png in pictures}
+    contents[HTML] = html.page(result, pictures).encode("utf-8")
+    for name, data in contents.items():
+        with atomic_write(target / name) as temporary:
+            temporary.write_bytes(data)
+    for old in target.iterdir():
+        if _PAGE.fullmatch(old.name) and old.name not in contents:
+            old.unlink()
+    return [dict(entry) for entry, _ in pictures]

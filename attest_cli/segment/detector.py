@@ -1,0 +1,136 @@
+"""From the statistic of stillness to numbered segments, and what there is to doubt about them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from ..records import Array, Bools, Ints, Log, Segment, Segmentation, Warn
+from ..settings import Settings
+from .aids import inside_stops, read_stops, wheels_turn
+from .stillness import (
+    BIAS_WALK,
+    GYRO_DRIFT,
+    Quiet,
+    Thresholds,
+    agreeing,
+    gap_edges,
+    hysteresis,
+    quiet_intervals,
+    sensor_noise,
+    stop_statistic,
+    stretches,
+    thresholds,
+    window_moments,
+)
+
+RARE = 0.1  # share of the log below which stops are doubted when the noise is not stated
+
+
+def find_segments(log: Log, settings: Settings) -> Segmentation:
+    r"""Split a drive into stops and motions.
+
+    The statistic of a window of $W$ samples is the greater of
+    $T = \overline{|f - \bar f|^2}/\sigma_a^2 + \overline{|\omega - b|^2}/\sigma_\omega^2$ (MV + ARE with bias) and
+    $\kappa\,|\bar\omega - b|^2$, where $\kappa$ gives both the same threshold.
+    A stop is where it stays below ``leave`` and somewhere falls below ``enter``.
+
+    Parameters
+    ----------
+    log : Log
+        SI units, any axes; ``log.gaps`` split segments.
+    settings : Settings
+        ``stops``, and the noise in ``imu``; noise that is not given comes from the log itself.
+
+    Raises
+    ------
+    AttestError
+        If ``settings.stops.file`` cannot be used.
+
+    Notes
+    -----
+    Beyond Skog 2010 (T, with a bias found blind): the second term, quiet intervals that must agree on the bias, a bias
+    that may drift, hysteresis both ways in time.
+    """
+    imu, stops = log.imu, settings.stops
+    edges = gap_edges(imu.t, log.gaps)
+    windows = window_moments(imu, edges, stops.window_s)
+    turning = wheels_turn(log.fixes.get("odometry") if stops.use_odometry else None, windows.t)
+    sigmas = sensor_noise(windows, imu.t, settings)
+    limits = thresholds(windows, sigmas, settings)
+    found = quiet_intervals(windows, sigmas, limits.enter, turning, settings)
+    walk = 3.0 * (settings.imu.gyro_random_walk or BIAS_WALK)
+    quiet = agreeing(found, sigmas[0] ** 2 / windows.width + GYRO_DRIFT**2, walk)
+    by_hop = stop_statistic(windows, sigmas, limits, quiet, walk)
+    statistic = np.repeat(by_hop, np.diff(windows.first))
+    if stops.file is not None:
+        still = inside_stops(imu.t, read_stops(stops.file, float(imu.t[0]), float(imu.t[-1])))
+    else:
+        calm = hysteresis(by_hop, limits, windows.run) & ~turning
+        still = tidy(np.repeat(calm, np.diff(windows.first)), imu.t, edges, stops.min_stop_s, stops.min_motion_s)
+    margin = margin_of(statistic, still, limits.enter)
+    stated = settings.imu.gyro_noise_density is not None and settings.imu.accel_noise_density is not None
+    if stops.file is None and not stated and still.mean() < RARE and margin < stops.leave_factor:
+        still[:] = False  # the noise was taken from the motion itself, of which these are the calmest moments
+        margin = math.nan
+    segments = as_segments(still, imu.t, edges, stops.window_s / 2)
+    return Segmentation(
+        segments=segments,
+        statistic=statistic,
+        enter=limits.enter,
+        leave=limits.leave,
+        bias_b=imu.gyro_b[still].mean(axis=0) if still.any() else np.zeros(3),
+        margin=margin,
+        source="file" if stops.file is not None else "odometry" if turning.any() else "imu",
+        warnings=() if stops.file is not None else doubts(still, limits, margin, found, quiet),
+    )
+
+
+def margin_of(statistic: Array, still: Bools, enter: float) -> float:
+    """5 % quantile of the statistic in motion over the threshold; nan without motion or without a stop."""
+    return float(np.quantile(statistic[~still], 0.05)) / enter if still.any() and not still.all() else math.nan
+
+
+def tidy(still: Bools, t: Array, edges: Ints, min_stop_s: float, min_motion_s: float) -> Bools:
+    """Fill motions shorter than ``min_motion_s`` between stops, then drop stops shorter than ``min_stop_s``."""
+    still = still.copy()
+    for value, shortest in ((False, min_motion_s), (True, min_stop_s)):
+        bounds = stretches(still, edges)
+        for first, last in itertools.pairwise(bounds):
+            inner = value or (first not in edges and last not in edges)
+            if still[first] == value and inner and t[last - 1] - t[first] < shortest:
+                still[first:last] = not value
+    return still
+
+
+def as_segments(still: Bools, t: Array, edges: Ints, shrink_s: float) -> tuple[Segment, ...]:
+    """Segments that cover all samples: stops odd, motions even; they meet at a sample, or end at a gap."""
+    bounds, segments, index = stretches(still, edges), list[Segment](), 0
+    at_gap = np.isin(bounds, edges)
+    for k, (first, last) in enumerate(itertools.pairwise(bounds)):
+        motion = not still[first]
+        index += 1 if (index + 1) % 2 == (0 if motion else 1) else 2
+        start, end = float(t[first]), float(t[last - 1] if at_gap[k + 1] else t[last])
+        shrink = 0.0 if motion else min(shrink_s, (end - start) / 4)
+        segments.append(Segment(index, motion, start, end, int(first), int(last), start + shrink, end - shrink))
+    return tuple(segments)
+
+
+def doubts(still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet: Quiet) -> tuple[Warn, ...]:
+    """What the user should know about the stops that were found."""
+    by_hand = "give the stops by hand with stops.file"
+    warnings = []
+    if not still.any():
+        warnings.append(Warn("no-stop", "no stop found in this log", f"if the vehicle did rest, {by_hand}"))
+    elif margin < limits.leave / limits.enter:
+        fact = f"stops and motion are hard to tell apart: the calmest motion is {margin:.1f} times the stop threshold"
+        warnings.append(Warn("stop-margin", fact, f"check them; wheel odometry helps, or {by_hand}"))
+    if still.any() and limits.enter > 1.01 * limits.noise:
+        fact = f"stops are not still: the threshold was raised to {limits.enter / limits.noise:.1f} times the noise's"
+        warnings.append(Warn("stop-shakes", fact, "state the sensors' noise if an engine or wind is no reason"))
+    if quiet.start.size == 1 and found.start.size > 1:
+        fact = "only one quiet interval supports the gyro's bias, others contradict it"
+        warnings.append(Warn("stop-bias", fact, f"a smooth turn can look like a stop: check, or {by_hand}"))
+    return tuple(warnings)

@@ -1,0 +1,135 @@
+"""Files that are whole or absent: temporary name in the same folder, flush, rename. Tables for Parquet and CSV."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from ..errors import AttestError
+
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Give a temporary name to write to; it becomes ``path`` when all went well and is removed when anything did not.
+
+    Raises
+    ------
+    AttestError
+        If the file cannot be written: no room, no permission.
+    """
+    temporary = path.with_name(f".{path.name[:100]}.{os.getpid()}.{secrets.token_hex(4)}.tmp")
+    try:
+        yield temporary
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise AttestError(
+            f"{path}: cannot be written: {error.strerror or error}", "is there room, and is it yours?"
+        ) from None
+    finally:  # an interrupt leaves nothing behind either
+        temporary.unlink(missing_ok=True)
+
+
+def check_output(path: Path, *, overwrite: bool = False, inputs: Sequence[Path] = ()) -> None:
+    """Refuse an output that exists, that is one of the inputs, or whose folder cannot be written to.
+
+    Raises
+    ------
+    AttestError
+        With the way out.
+    """
+    for log in inputs:
+        if path.exists() and log.exists() and path.samefile(log):
+            raise AttestError(f"{path}: output and input are the same file", "choose another name with -o")
+    filled = path.exists() and (not path.is_dir() or any(path.iterdir()))
+    if filled and not overwrite:
+        raise AttestError(f"{path}: exists already", "--overwrite replaces it, -o chooses another name")
+    folder = path if path.is_dir() else path.parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir():
+        raise AttestError(f"{path}: {folder} is not a folder", "choose another name with -o")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise AttestError(f"{path}: folder {folder} cannot be written to", "choose another place with -o")
+
+
+def arrow_table(columns: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None) -> pa.Table:
+    """Make an Arrow table of columns (n,) of numbers, booleans or text, and (n, k) of floats as lists of fixed size."""
+    arrays = {}
+    for name, column in columns.items():
+        if column.ndim == 2:
+            flat = pa.array(np.ascontiguousarray(column).ravel())
+            arrays[name] = pa.FixedSizeListArray.from_arrays(flat, column.shape[1])
+        else:
+            arrays[name] = pa.array(column.tolist(), pa.string()) if column.dtype.kind in "UO" else pa.array(column)
+    table = pa.table(arrays)
+    return table.replace_schema_metadata(dict(metadata)) if metadata else table
+
+
+def write_table(columns: Mapping[str, NDArray[Any]], path: Path, metadata: Mapping[str, str] | None = None) -> None:
+    """Write columns to Parquet, zstd, floats split by byte; text in ``metadata`` goes to the schema."""
+    write_arrow(arrow_table(columns, metadata), path)
+
+
+def write_arrow(table: pa.Table, path: Path) -> None:
+    """Write an Arrow table to Parquet with page checksums, whole or not at all."""
+    floats, texts = [], []
+    for field in table.schema:
+        if pa.types.is_fixed_size_list(field.type):
+            floats.append(f"{field.name}.list.element")
+        elif pa.types.is_floating(field.type):
+            floats.append(field.name)
+        elif pa.types.is_string(field.type):
+            texts.append(field.name)
+    with atomic_write(path) as temporary:
+        pq.write_table(
+            table,
+            temporary,
+            compression="zstd",
+            use_dictionary=texts,
+            use_byte_stream_split=floats,
+            write_page_checksum=True,
+        )
+
+
+def write_csv_rows(rows: Sequence[Mapping[str, Any]], path: Path, columns: Sequence[str] | None = None) -> None:
+    """Write dictionaries as CSV: None and NaN are blank, floats have all their digits, text is safe for a spreadsheet.
+
+    Parameters
+    ----------
+    columns : sequence of str, optional
+        Header; the keys of the first row if not given.
+    """
+    header = list(columns if columns is not None else rows[0] if rows else ())
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([_cell(row.get(name)) for name in header] for row in rows)
+
+
+def _cell(value: Any) -> str:
+    """Spell a cell; text that a spreadsheet would run as a formula gets an apostrophe (CWE-1236)."""
+    if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
+        return ""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, float | np.floating):
+        return repr(float(value))
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    text = str(value)
+    return f"'{text}" if text.startswith(_FORMULA_STARTS) else text

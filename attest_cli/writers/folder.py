@@ -1,0 +1,61 @@
+"""A result folder that appears whole or not at all; an older result stays whole until the new one is."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import AttestError
+from .files import check_output
+
+LAST = "report.json"
+OURS = re.compile(r"(track\.(parquet|csv|tum|mcap)|passes\.parquet|innovations\.parquet|segments\.csv|report\.json"
+                  r"|report/(\d\d-[a-z0-9-]+\.png|report\.html))")  # fmt: skip
+
+
+@contextmanager
+def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Path] = ()) -> Iterator[Path]:
+    """Give a temporary folder beside ``output``; it takes the place of ``output`` when all went well.
+
+    With ``overwrite`` the files of an older result are replaced one by one, ``report.json`` last, those of a result that the
+    new one does not have are removed, and files that are not ours stay.
+
+    Raises
+    ------
+    AttestError
+        If ``output`` exists and may not be replaced, or its place cannot be written to.
+    """
+    check_output(output, overwrite=overwrite, inputs=inputs)
+    if output.exists() and not output.is_dir():
+        raise AttestError(f"{output}: is a file, a result is a folder", "choose another name with -o")
+    temporary = output.parent / f".{output.name[:100]}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
+        if output.exists():
+            _replace(temporary, output)
+        else:
+            temporary.rename(output)
+    except OSError as error:
+        raise AttestError(
+            f"{output}: cannot be written: {error.strerror or error}", "is there room, and is it yours?"
+        ) from None
+    finally:  # an interrupt leaves nothing behind either
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _replace(new: Path, old: Path) -> None:
+    """Move the files of ``new`` over those of ``old``."""
+    names = sorted((p.relative_to(new).as_posix() for p in new.rglob("*") if p.is_file()), key=lambda n: (n == LAST, n))
+    for name in names:
+        (old / name).parent.mkdir(exist_ok=True)
+        (new / name).replace(old / name)
+    for path in [p for p in old.rglob("*") if p.is_file()]:
+        name = path.relative_to(old).as_posix()
+        if OURS.fullmatch(name) and name not in names:
+            path.unlink()
