@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from .maths import rotation
-from .records import Array, Fixes, Imu, Segmentation
+from .records import Array, Fixes, Imu, Ints, Segmentation
 
 WINDOW_S = 1.0  # speed is compared over windows of this length
 LAGS_S = np.round(np.arange(-1.0, 1.001, 0.05), 3)  # odometry stamps against IMU stamps
 CERTAIN_DEG = 5.0  # forward axis: sigma below which it is believed
 LEAST_WINDOWS = 20
-SIGNIFICANT = 25.0  # drop of the weighted misfit that a lag must bring, chi-square of one degree at five sigma
+SMOOTH_WINDOWS = 5  # windows on either side whose mean is taken away
+SIGNIFICANT = 100.0  # drop of the weighted misfit that a lag must bring: ten sigma, for windows are not independent
 NEAR_DEG = 10.0  # axes that agree to this are taken as equal
 
 
@@ -52,15 +54,15 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
         return None
     up = np.sum([imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
     up /= np.linalg.norm(up)
-    edges = _windows(imu, segmentation)
+    edges, owner = _windows(imu, segmentation)
     if len(edges) < LEAST_WINDOWS:
         return None
     R = rotation.matrix(q)
     a_n = np.einsum("kij,kj->ki", R, imu.accel_b) - np.array([0.0, 0.0, gravity])
     dt = np.diff(imu.t)
     gained = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (a_n[1:] + a_n[:-1]) * dt[:, None], axis=0)])
-    wanted = (gained[edges[:, 1]] - gained[edges[:, 0]]).reshape(-1)
-    fits = [_fit(R, imu.t, edges, odometry, wanted, float(lag)) for lag in LAGS_S]
+    wanted = _high_pass(gained[edges[:, 1]] - gained[edges[:, 0]], owner).reshape(-1)
+    fits = [_fit(R, imu.t, edges, owner, odometry, wanted, float(lag)) for lag in LAGS_S]
     zero = fits[len(LAGS_S) // 2]
     best = min(range(len(fits)), key=lambda i: fits[i][1])
     lag = float(LAGS_S[best])
@@ -79,20 +81,38 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     return Mounting(rotation.from_matrix(R_bv), float(np.degrees(sigma / size)), lag, "gravity at stops and wheel speed")
 
 
-def _windows(imu: Imu, segmentation: Segmentation) -> Array:
-    """Return first and last sample (k, 2) of the windows that lie within one motion."""
-    rows = []
+def _windows(imu: Imu, segmentation: Segmentation) -> tuple[Ints, Ints]:
+    """Return first and last sample (k, 2) of the windows that lie within one motion, and the motion's index (k,)."""
+    rows, owner = [], []
     for s in segmentation.motions:
         cuts = np.searchsorted(imu.t, np.arange(s.start, s.end, WINDOW_S))
-        rows += [(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b > a and b < len(imu.t)]
-    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+        pairs = [(a, b) for a, b in pairwise(cuts.tolist()) if b > a and b < len(imu.t)]
+        rows += pairs
+        owner += [s.index] * len(pairs)
+    return np.array(rows, dtype=np.int64).reshape(-1, 2), np.array(owner, dtype=np.int64)
 
 
-def _fit(R: Array, t: Array, edges: Array, odometry: Fixes, wanted: Array, lag: float) -> tuple[Array, float, float]:
+def _high_pass(values: Array, owner: Ints) -> Array:
+    """Take away the mean of the windows around (k, ...), motion by motion: what a slowly wrong tilt makes of gravity."""
+    out = np.empty_like(values)
+    for index in np.unique(owner):
+        mine = np.flatnonzero(owner == index)
+        total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values[mine], axis=0)])
+        k = np.arange(len(mine))
+        lo, hi = np.maximum(k - SMOOTH_WINDOWS, 0), np.minimum(k + SMOOTH_WINDOWS + 1, len(mine))
+        count = (hi - lo).reshape(-1, *[1] * (values.ndim - 1))
+        out[mine] = values[mine] - (total[hi] - total[lo]) / count
+    return out
+
+
+def _fit(
+    R: Array, t: Array, edges: Ints, owner: Ints, odometry: Fixes, wanted: Array, lag: float
+) -> tuple[Array, float, float]:
     """Return forward axis (3,), misfit and the largest sigma of the axis, for one lag."""
     first, last = edges.T
     speed = np.interp(t, odometry.t - lag, forward_speed(odometry))
-    A = (R[last] * speed[last, None, None] - R[first] * speed[first, None, None]).reshape(-1, 3)
+    gain = R[last] * speed[last, None, None] - R[first] * speed[first, None, None]
+    A = _high_pass(gain, owner).reshape(-1, 3)
     normal = A.T @ A
     if np.linalg.cond(normal) > 1e12:
         return np.zeros(3), np.inf, np.inf

@@ -13,7 +13,7 @@ from ..sensors import Direction, Sensor
 from ..sensors.heading import BodyHeading, FieldHeading
 from ..sensors.orientation import Orientation
 from ..settings import Settings
-from .noise import Noise, stop_ranges
+from .noise import Noise, reference_bias, stop_ranges
 
 FIELD_CORRELATION_S = 5.0  # a disturbed magnetic field stays disturbed this long in motion (design note, question 1)
 WINDOW_S = 10.0  # accelerometer window that stands in for a stop where a log has none
@@ -46,11 +46,12 @@ def observe(
 ) -> tuple[list[Observation], list[Warn]]:
     """Return every observation in time order, with what the user should know about sensors that could not be used."""
     warnings: list[Warn] = []
-    found = gravity_at_stops(log, segmentation, world, noise, settings)
-    if not found:
-        found, warning = gravity_in_windows(log, segmentation, world, settings)
-        warnings.append(warning)
     policy = settings.smoothing.absolute
+    found = gravity_at_stops(log, segmentation, world, noise, settings)
+    if not found or policy == "always":
+        windows, warning = gravity_in_windows(log, segmentation, world, settings)
+        warnings += [] if found else [warning]
+        found += windows
     for role, build in (("sun", _sun), ("compass", _compass), ("orientation", _orientation)):
         if role in log.fixes:
             found += build(log.fixes[role], segmentation, world, settings, policy, warnings)
@@ -89,26 +90,23 @@ def _up() -> Direction:
 def gravity_in_windows(
     log: Log, segmentation: Segmentation, world: World, settings: Settings
 ) -> tuple[list[Observation], Warn]:
-    r"""Tilt of a log without a stop: specific force, turned by the gyro into the middle of long windows, and averaged.
+    r"""Tilt in motion, for a log without a stop or by request: specific force, turned by the gyro into the middle of long windows, and averaged.
 
     The mean acceleration of a window is what speed it gained over its length. Its size is not known: sigma is the larger of
     the misfit of the mean's norm to gravity and half the change from window to window, doubled because a turn lasts.
     """
-    t, bias = log.imu.t, segmentation.bias_b
-    count = max(1, int((t[-1] - t[0]) / WINDOW_S))
-    edges = np.linspace(t[0], t[-1], count + 1)
+    t, bias = log.imu.t, reference_bias(log, segmentation, log.imu.t)
     means, turns, spans = [], [], []
-    for lo, hi in pairwise(np.searchsorted(t, edges, side="right").tolist()):
-        lo, hi = max(0, lo - 1), max(hi, lo + 1)
+    for lo, hi in _long_windows(t, segmentation):
         dt = np.diff(t[lo:hi], prepend=t[lo])
-        steps = rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias) * dt[:, None])
-        q = rotation.chain(steps)  # window start -> sample
+        q = rotation.chain(rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias[lo:hi]) * dt[:, None]))  # start -> sample
         means.append(np.einsum("mij,mj->i", rotation.matrix(q), log.imu.accel_b[lo:hi]) / (hi - lo))
         turns.append(rotation.matrix(q[-1]))
         spans.append((float(t[lo]), float(t[hi - 1])))
     vectors = np.array(means)
     misfit = np.linalg.norm(vectors, axis=1) - world.gravity
-    change = np.array([turn.T @ a - b for turn, a, b in zip(turns[:-1], means[:-1], means[1:], strict=True)])
+    follows = [k for k in range(len(spans) - 1) if spans[k + 1][0] - spans[k][1] < 1.0]
+    change = np.array([turns[k].T @ means[k] - means[k + 1] for k in follows])
     sigma = 2.0 * max(float(np.sqrt(np.mean(misfit**2))), 0.5 * float(np.sqrt(np.mean(change**2))) if len(change) else 0.0)
     sigma = max(sigma, settings.imu.accel_bias_sigma) / world.gravity
     out = [
@@ -121,6 +119,15 @@ def gravity_in_windows(
         f"no stop: tilt comes from the accelerometer over {WINDOW_S:.0f} s windows, {deg:.1f} deg each",
         "stop for 5 s or more at the start and the end of a drive",
     )
+
+
+def _long_windows(t: Array, segmentation: Segmentation) -> list[tuple[int, int]]:
+    """Return the samples ``[lo, hi)`` of the windows that share out every motion (the whole log where nothing is known)."""
+    out = []
+    for s in segmentation.motions:
+        edges = np.linspace(s.start, s.end, max(1, int((s.end - s.start) / WINDOW_S)) + 1)
+        out += [(a, b) for a, b in pairwise(np.searchsorted(t, edges, side="right").tolist()) if b - a >= 10]
+    return out
 
 
 def _sun(

@@ -13,7 +13,8 @@ STEP_BACK_NS = 500_000_000
 """A larger step back is another clock, not rows in a wrong order."""
 
 LONGEST_BATCH_NS = 500_000_000
-"""Stamps further apart that are shared by several rows have no resolution."""
+SHARED = 1.5
+"""Stamps further apart than the batch, shared by more rows than this on average, have no resolution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +26,17 @@ class Ordered:
     warnings: tuple[Warn, ...]
 
 
-def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, refuse_steps: bool = True) -> Ordered:
-    """Sort rows by time and make the stamps strictly increasing.
+def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: bool = True) -> Ordered:
+    """Sort rows by time and drop repeats.
 
     Parameters
     ----------
     name : str
         File and channel, for messages.
     stamps_ns : (n,) int64, as found; ``values`` (n, k)
-    refuse_steps : bool
-        Refuse a clock that steps back by more than 0.5 s; else sort it together too.
+    strict : bool
+        As an IMU needs it: refuse a clock that steps back by more than 0.5 s, and spread rows that share a stamp, so that
+        the stamps increase strictly. Else such steps are sorted together, and measurements may share a stamp.
 
     Raises
     ------
@@ -42,24 +44,22 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, refuse_st
         If the clock steps back, or the stamps have no resolution.
     """
     warnings: list[Warn] = []
+    rows = np.arange(stamps_ns.size, dtype=np.int64)
     latest = np.maximum.accumulate(stamps_ns)
     back = latest - stamps_ns  # against the maximum so far: 10, 5, 6, 11 has two rows out of order
-    worst = int(np.argmax(back)) if back.size else 0
-    if refuse_steps and back.size and back[worst] > STEP_BACK_NS:
-        first = int(np.argmax(back > STEP_BACK_NS))
-        when, size = (int(latest[first]) - t0_ns) * 1e-9, int(back[first]) * 1e-9
-        message = f"{name}: the clock steps back by {size:.3f} s at {when:.3f} s (row {first + 1})"
-        raise AttestError(message, f"cut the log there, or take the part before it with --end {when:.3f}")
-    late = int(np.count_nonzero(back))
-    rows = np.argsort(stamps_ns, kind="stable").astype(np.int64) if late else np.arange(stamps_ns.size, dtype=np.int64)
-    if late:
-        message = f"{name}: {late} rows out of order, by {back[worst] * 1e-9:.3f} s at most: sorted"
-        warnings.append(Warn("rows-out-of-order", message))
+    if np.any(back):
+        worst = int(np.argmax(back))
+        if strict and back[worst] > STEP_BACK_NS:
+            _refuse_step(name, latest, back, t0_ns)
+        rows = np.argsort(stamps_ns, kind="stable").astype(np.int64)
+        late = f"{np.count_nonzero(back)} rows out of order, by {back[worst] * 1e-9:.3f} s at most"
+        warnings.append(Warn("rows-out-of-order", f"{name}: {late}: sorted"))
+    _refuse_coarse(name, stamps_ns[rows])
     rows = rows[_not_repeated(stamps_ns[rows], values[rows])]
     if rows.size < stamps_ns.size:
         message = f"{name}: {stamps_ns.size - rows.size} rows repeat stamp and values of another: dropped"
         warnings.append(Warn("duplicate-rows", message))
-    ordered, spread = _spread(name, stamps_ns[rows])
+    ordered, spread = _spread(stamps_ns[rows]) if strict else (stamps_ns[rows], 0)
     if spread:
         message = f"{name}: {spread} rows share their stamp with others: spread over the interval of their batch"
         warnings.append(Warn("batched-stamps", message, "let the driver stamp every sample"))
@@ -81,6 +81,22 @@ def gaps(stamps_ns: Ints, max_gap_s: float, periods: float = 5.0) -> Ints:
     return np.stack([stamps_ns[holes], stamps_ns[holes + 1]], axis=1)
 
 
+def _refuse_step(name: str, latest: Ints, back: Ints, t0_ns: int) -> None:
+    row = int(np.argmax(back > STEP_BACK_NS))
+    when, size = (int(latest[row]) - t0_ns) * 1e-9, int(back[row]) * 1e-9
+    message = f"{name}: the clock steps back by {size:.3f} s at {when:.3f} s (row {row + 1})"
+    raise AttestError(message, f"cut the log there, or take the part before it with --end {when:.3f}")
+
+
+def _refuse_coarse(name: str, stamps_ns: Ints) -> None:
+    """Refuse stamps without resolution: float32 seconds since 1970 step by 128 s."""
+    steps = np.diff(stamps_ns)
+    distinct = 1 + int(np.count_nonzero(steps))
+    if stamps_ns.size > SHARED * distinct and (distinct == 1 or np.median(steps[steps > 0]) > LONGEST_BATCH_NS):
+        message = f"{name}: {distinct} distinct stamps in {stamps_ns.size} rows: the stamps have no resolution"
+        raise AttestError(message, "write stamps as int64 ns, or seconds with all their digits (float32 has too few)")
+
+
 def _not_repeated(stamps_ns: Ints, values: Array) -> Bools:
     """Tell the rows that differ from all others of the same stamp (in stamp order)."""
     keep = np.ones(stamps_ns.size, dtype=bool)
@@ -95,23 +111,19 @@ def _not_repeated(stamps_ns: Ints, values: Array) -> Bools:
     return keep
 
 
-def _spread(name: str, stamps_ns: Ints) -> tuple[Ints, int]:
-    """Spread rows of one stamp over the interval before it, or after it where that has more room. Returns how many."""
+def _spread(stamps_ns: Ints) -> tuple[Ints, int]:
+    """Spread rows of one stamp over the interval before it, or after it where that suits better. Returns how many."""
     starts = np.flatnonzero(np.diff(stamps_ns, prepend=stamps_ns[:1] - 1))
     counts = np.diff(np.append(starts, stamps_ns.size))
     spread = int(np.sum(counts[counts > 1]))
     if not spread:
         return stamps_ns, 0
     distinct = stamps_ns[starts]
-    interval = float(np.median(np.diff(distinct))) if distinct.size > 1 else np.inf
-    if interval > LONGEST_BATCH_NS:
-        message = f"{name}: {distinct.size} distinct stamps in {stamps_ns.size} rows: the stamps have no resolution"
-        raise AttestError(message, "write stamps as int64 ns, or seconds with all their digits (float32 has too few)")
-    period = int((distinct[-1] - distinct[0]) // (stamps_ns.size - 1)) or 1
+    period = max(int((distinct[-1] - distinct[0]) // (stamps_ns.size - 1)), 1)
     before = np.diff(distinct, prepend=distinct[0] - period * counts[0]) // counts
     after = np.diff(distinct, append=distinct[-1] + period * counts[-1]) // counts
     forward = np.abs(after - period) < np.abs(before - period)
-    step = np.where(counts > 1, np.minimum(np.where(forward, after, before), 2 * period), 0)
+    step = np.repeat(np.where(counts > 1, np.minimum(np.where(forward, after, before), 2 * period), 0), counts)
     place = np.arange(stamps_ns.size) - np.repeat(starts, counts)
     last = np.repeat(counts - 1, counts)
-    return stamps_ns + np.repeat(step, counts) * np.where(np.repeat(forward, counts), place, place - last), spread
+    return stamps_ns + step * np.where(np.repeat(forward, counts), place, place - last), spread

@@ -48,7 +48,7 @@ def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnin
         message = f"{bad} of {good.size} measurements of {channel.name} ({role}) dropped: {_why(role)}"
         warnings.append(Warn(f"{role}-dropped", message))
     stamps_ns, values, sigma = channel.stamps_ns[good], values[good], None if sigma is None else sigma[good]
-    ordered = in_order(channel.name, stamps_ns, values, span.t0_ns, refuse_steps=False)
+    ordered = in_order(channel.name, stamps_ns, values, span.t0_ns, strict=False)
     warnings.extend(ordered.warnings)
     stamps_ns, values = ordered.stamps_ns, values[ordered.rows]
     sigma = None if sigma is None else sigma[ordered.rows]

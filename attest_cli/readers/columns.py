@@ -76,8 +76,8 @@ _UNIT_WORDS: Mapping[tuple[str, ...], str] = {
 _UNIT_NAMES: Mapping[str, str] = {
     "G": "Gauss", "Celsius": "degC", "celsius": "degC", "C": "degC", "deg C": "degC", "°C": "degC", "-": "", "1": "1",
     "sec": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us", "microseconds": "us", "nsec": "ns",
-    "nanoseconds": "ns", "m/s/s": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "dps": "deg/s", "°/s": "deg/s", "°": "deg",
-    "degrees": "deg",
+    "nanoseconds": "ns", "m/s/s": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "dps": "deg/s", "°/s": "deg/s",
+    "°": "deg", "degrees": "deg",
 }  # fmt: skip
 
 

@@ -22,6 +22,8 @@ MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 512 << 20
 """Limit of one unpacked chunk; writers use 1 to 16 MB."""
 
+READ = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.DATA_END})
+_BLOCK = 1 << 20
 _HEADER = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
@@ -71,6 +73,9 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Record]:
         if length > size - stream.tell():
             name = Opcode(opcode).name.lower() if opcode in Opcode._value2member_map_ else f"unknown ({opcode})"
             raise DamagedError(offset, f"a record ({name}) of {length} bytes with {size - stream.tell()} left")
+        if opcode not in READ:
+            crc = _skip(stream, length, zlib.crc32(header, crc))
+            continue
         body = stream.read(length)
         if opcode == Opcode.DATA_END:
             stated = _at_least(body, 4, offset) and struct.unpack_from("<I", body)[0]
@@ -82,6 +87,17 @@ def walk(stream: BinaryIO, size: int) -> Iterator[Record]:
             yield from _records(_unpack(body, offset), offset)
         else:
             yield from _records(memoryview(header + body), offset)
+
+
+def _skip(stream: BinaryIO, length: int, crc: int) -> int:
+    """Pass over a record, however long, and return the checksum with it."""
+    while length > 0:
+        block = stream.read(min(length, _BLOCK))
+        if not block:
+            break
+        crc = zlib.crc32(block, crc)
+        length -= len(block)
+    return crc
 
 
 def _records(data: memoryview, offset: int) -> Iterator[Record]:

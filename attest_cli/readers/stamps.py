@@ -60,7 +60,7 @@ def from_text(column: pa.ChunkedArray, unit: str, path: Path) -> tuple[Ints, Arr
     except pa.ArrowInvalid:  # digits below 1 ns, or text that is no number
         pattern = r"^(\s*[-+]?\d+)$" if digits == 0 else rf"^(\s*[-+]?\d*\.?\d{{0,{digits}}})\d*$"
         number = pc.match_substring_regex(column, NUMBER)
-        column = pc.if_else(number, column, pa.scalar(None, pa.string()))
+        column = pc.utf8_trim_whitespace(pc.if_else(number, column, pa.scalar(None, pa.string())))
         column = pc.replace_substring_regex(column, pattern=pattern, replacement=r"\1")
         try:
             decimal = pc.cast(column, pa.decimal128(38, digits))

@@ -21,7 +21,8 @@ from .ros2 import Message, bag, diagonal, quaternion, vector
 
 CANONICAL_UNITS: Mapping[str, str] = {
     "gyro": "rad/s", "accel": "m/s^2", "mag": "uT", "sun": "1", "q": "1", "velocity": "m/s", "position": "m",
-    "speed": "m/s", "compass": "deg", "latitude": "deg", "longitude": "deg", "altitude": "m", "gps": "m", "temperature": "degC",
+    "speed": "m/s", "compass": "deg", "latitude": "deg", "longitude": "deg", "altitude": "m", "gps": "m",
+    "temperature": "degC",
 }  # fmt: skip
 """First word of a column -> unit that its name implies in a table."""
 
@@ -50,6 +51,8 @@ def write_recording(recording: Recording, path: Path) -> tuple[str, ...]:
     writer = writers.get(path.suffix.lower())
     if writer is None:
         raise AttestError(f"{path}: no log format of this name", f"use one of {', '.join(writers)}")
+    if not any(channel.role and channel.stamps_ns.size for channel in recording.channels):
+        raise AttestError(f"{recording.source}: no channel to write to {path}", "attest info shows what was found")
     return writer(recording, path)
 
 

@@ -20,6 +20,7 @@ import attest_cli
 from attest_cli.__main__ import run
 from attest_cli.commands.console import Console, plain
 from attest_cli.errors import AttestError
+from attest_cli.figures.words import number
 from attest_cli.report import Report
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -308,7 +309,7 @@ def test_info_shows_what_would_be_used_as_what(tmp_path: Path, capsys: pytest.Ca
     assert re.split(r"  +", row) == [
         "imu",
         "columns",
-        "1\u202f000",
+        number(1000),
         "100 Hz",
         "0:00.0",
         "0:10.0",

@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from attest_cli.errors import AttestError
 from attest_cli.records import COLUMNS, Channel
+from attest_cli.settings import Settings
 from attest_cli.simulate import SCENARIOS, VARIANTS, RoverOptions, Simulation, simulate_rover
 from attest_cli.simulate.drive import GRAVITY_M_S2, Kinematics
 from attest_cli.simulate.rover import (
@@ -273,3 +274,11 @@ def test_length_follows_the_options() -> None:
     with pytest.raises(AttestError, match="unknown variant"):
         RoverOptions(variant="fast")  # type: ignore[arg-type]
     assert SCENARIOS["rover"] is simulate_rover
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_settings_of_the_log_are_settings(variant: Any, full: Simulation) -> None:
+    for settings in (full.settings, simulate_rover(RoverOptions(duration_s=60.0, variant=variant)).settings):
+        valid = Settings.model_validate(settings)
+        assert valid.imu.gyro_noise_density == GYRO_NOISE
+        assert valid.sun.components == 2
