@@ -14,6 +14,7 @@ from .position import Position
 from .records import Array, FilterRun, Log, Segment, Segmentation, Smoothed
 from .track import world_variance
 
+LATE_S = 1.0  # a threshold passed sooner was passed from the start
 LONGEST_S = 86400.0  # the advice looks this far ahead
 
 
@@ -59,10 +60,15 @@ def segment_checks(t: Array, forward: Pass, backward: Pass, segmentation: Segmen
 
 def segment_table(
     log: Log, segmentation: Segmentation, t: Array, passes: Mapping[str, Pass], position: Position | None, noise: Noise,
-    threshold_deg: float,
+    threshold_deg: float, relative: bool,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return one row per segment with the columns of ``segments.csv``; None where a column does not apply."""
+    """Return one row per segment with the columns of ``segments.csv``; None where a column does not apply.
+
+    ``relative``: heading counts from the start, so its separation says nothing.
+    """
     checks = segment_checks(t, passes["forward"], passes["backward"], segmentation)
+    if relative:
+        checks = {i: (when, np.array([x, y, np.nan])) for i, (when, (x, y, _)) in checks.items()}
     sigma = {name: np.degrees(p.sigma_n()) for name, p in passes.items()}
     ranges = dict(zip((s.index for s in segmentation.stops), stop_ranges(log, segmentation), strict=True))
     rows = []
@@ -169,7 +175,9 @@ def stop_advice(
     for s in segmentation.motions:
         late = np.flatnonzero(over & (run.t >= s.start) & (run.t <= s.end))
         if len(late):
-            lines.append(f"segment {s.index}: stop {_clock(run.t[late[0]] - s.start)} after it began")
+            after = run.t[late[0]] - s.start
+            when = f"stop {_clock(after)} after it began" if after > LATE_S else "stop before it begins"
+            lines.append(f"segment {s.index}: {when}")
     return {
         "threshold_deg": threshold_deg,
         "axis": "heading" if heading or not over.any() else "tilt",

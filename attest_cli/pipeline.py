@@ -123,7 +123,7 @@ def locate(log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitu
             lag = seat.lag if seat else 0.0
             shifted = type(odometry)(odometry.role, odometry.channel, odometry.t - lag, odometry.values, odometry.sigma)
             if lag:
-                warnings.append(Warn("odometry-late", f"odometry stamps are {lag:+.2f} s late against the IMU: corrected", ""))
+                warnings.append(Warn("odometry-late", f"odometry stamps are {abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the IMU: corrected"))
             q_bv = seat.q_bv if seat else IDENTITY
             return position.odometry_position(log.imu, attitude.q, q_bv, est.smoothed, segmentation, shifted, settings), seat, warnings
     if not segmentation.stops:
@@ -181,7 +181,7 @@ def _assemble(
     """Bring everything into body axes, judge it, and make the columns of the track."""
     settings = effective.settings
     q_bv, body = body_axes(seat, settings)
-    backward = backward_estimate(est.forward)
+    backward = backward_estimate(est.forward, est.smoothed.information)
     passes = {
         "forward": assess.Pass(est.forward.q, est.forward.bias, est.forward.chain.P),
         "backward": assess.Pass(*backward),
@@ -189,7 +189,8 @@ def _assemble(
     }
     threshold = settings.smoothing.stop_threshold_deg
     t = est.nodes.t
-    rows = assess.segment_table(log, segmentation, t, passes, place, est.noise, threshold)
+    relative = est.forward.heading == "relative"
+    rows = assess.segment_table(log, segmentation, t, passes, place, est.noise, threshold, relative)
     advice = assess.stop_advice(est.forward, est.smoothed, segmentation, est.noise, threshold)
     turned = {name: p.turned(q_bv) for name, p in passes.items()}
     told = (*log.warnings, *segmentation.warnings, *est.warnings, *warnings)
@@ -212,7 +213,9 @@ def _write(folder: Path, run: Run, columns: tables.Columns, settings: Settings, 
     for name in settings.output.formats:
         write_track(columns, metadata, folder / f"track.{name}", name)
     t = run.forward.t
-    write_table(tables.pass_columns(run.log, t, run.passes, run.position, run.segmentation), folder / "passes.parquet", metadata)
+    relative = run.forward.heading == "relative"
+    nodes = tables.pass_columns(run.log, t, run.passes, run.position, run.segmentation, relative)
+    write_table(nodes, folder / "passes.parquet", metadata)
     write_table(tables.innovation_columns(run.forward.innovations, t, run.segmentation), folder / "innovations.parquet", metadata)
     write_csv_rows(_padded(run.segments), folder / "segments.csv")
     _write_report(folder, report)

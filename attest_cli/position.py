@@ -92,26 +92,25 @@ def odometry_position(
 
 
 def _odometry_covariance(chain: Markov, step: Array, noise: Array, scale_sigma: float) -> Array:
-    """Propagate ``[dtheta_n, dbias, dp, ds]`` over the nodes; return the position blocks (n, 3, 3)."""
+    r"""Return the covariance (n, 3, 3) of a position that adds :math:`a_k=h_k(\theta_k+\theta_{k+1})`, slip and scale.
+
+    With :math:`X_k=\mathrm{Cov}(\delta_k,p_k)`: :math:`X_{k+1}=F_kX_k+(F_kP_k+P_{k+1})E^Th_k^T`, where ``E`` picks the
+    attitude; that is the only recursion, all else is a running sum.
+    """
     n = len(chain.P)
-    out = np.zeros((n, 3, 3))
-    S = np.zeros((10, 10))
-    S[:6, :6], S[9, 9] = chain.P[0], scale_sigma**2
-    A, W = np.eye(10), np.zeros((10, 10))
-    half = -0.5 * rotation.skew(step)
+    half_T = (-0.5 * rotation.skew(step)).swapaxes(1, 2)
+    FP = chain.F @ chain.P[:-1]
+    source = (FP + chain.P[1:])[:, :, :3] @ half_T
+    X = np.zeros((n, 6, 3))
     for k in range(n - 1):
-        A[:6, :6] = chain.F[k]
-        A[6:9, :6] = half[k] @ chain.F[k][:3]
-        A[6:9, :3] += half[k]
-        A[6:9, 9] = step[k]
-        W[:6, :6] = chain.W[k]
-        W[6:9, :6] = half[k] @ chain.W[k][:3]
-        W[:6, 6:9] = W[6:9, :6].T
-        W[6:9, 6:9] = W[6:9, :3] @ half[k].T + noise[k]
-        S = A @ S @ A.T + W
-        S = 0.5 * (S + S.T)
-        out[k + 1] = S[6:9, 6:9]
-    return out
+        X[k + 1] = chain.F[k] @ X[k] + source[k]
+    with_step = (X[:-1] + chain.F @ X[:-1])[:, :3].swapaxes(1, 2) @ half_T
+    spread = (chain.P[:-1] + chain.P[1:] + FP + FP.swapaxes(1, 2))[:, :3, :3]
+    grown = with_step + with_step.swapaxes(1, 2) + half_T.swapaxes(1, 2) @ spread @ half_T + noise
+    path = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
+    out = scale_sigma**2 * np.einsum("ki,kj->kij", path, path)
+    out[1:] += np.cumsum(grown, axis=0)
+    return symmetric(out)
 
 
 def inertial_position(

@@ -242,7 +242,7 @@ class FilterRun:
 @dataclass(frozen=True, slots=True)
 class Smoothed:
     """A smoothed pass over n nodes: ``q`` (n, 4), ``bias`` (n, 3), covariance ``P`` (n, 6, 6) about it, lag-one covariance
-    ``cross`` (n - 1, 6, 6), and how many Gauss-Newton passes were made."""
+    ``cross`` (n - 1, 6, 6), how many Gauss-Newton passes were made, and the backward ``information`` (Y, y) if it was used."""
 
     t: Array
     q: Array
@@ -250,3 +250,4 @@ class Smoothed:
     P: Array
     cross: Array
     passes: int = 0
+    information: tuple[Array, Array] | None = None

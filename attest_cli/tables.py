@@ -18,7 +18,7 @@ ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 
 
-def vector(name: str, values: Array) -> Columns:
+def vector(name: str, values: NDArray[np.floating]) -> Columns:
     """Return three columns; ``name`` holds ``{}`` where the axis goes."""
     return {name.format(axis): np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
 
@@ -65,19 +65,29 @@ def track_columns(
     columns: Columns = {"timestamp_ns": log.stamps_ns, "t_s": t}
     columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}
     columns |= {f"{name}_deg": np.degrees(angles[:, i]) for i, name in enumerate(("roll", "pitch", "yaw"))}
-    columns |= vector("sigma_att_{}_deg", np.degrees(sigma))
-    columns |= vector("gyro_bias_{}_rad_s", bias) | vector("sigma_gyro_bias_{}_rad_s", np.sqrt(attitude.bias_variance))
-    columns |= vector("position_{}_m", p) | vector("sigma_position_{}_m", sigma_p) | vector("velocity_{}_m_s", v)
+    sigma_b = np.sqrt(attitude.bias_variance)
+    columns |= vector("sigma_att_{}_deg", _short(np.degrees(sigma)))
+    columns |= vector("gyro_bias_{}_rad_s", bias) | vector("sigma_gyro_bias_{}_rad_s", _short(sigma_b))
+    columns |= vector("position_{}_m", p) | vector("sigma_position_{}_m", _short(sigma_p)) | vector("velocity_{}_m_s", v)
     columns |= {"segment": segment, "moving": moving}
     if relative_variance is not None:
         columns["sigma_heading_relative_deg"] = np.degrees(np.sqrt(np.interp(t, nodes_t, relative_variance)))
     return columns
 
 
+def _short(sigma: Array) -> NDArray[np.float32]:
+    """Seven digits are plenty for a sigma, and half the file."""
+    return sigma.astype(np.float32)
+
+
 def pass_columns(
-    log: Log, t: Array, passes: Mapping[str, Pass], position: Position | None, segmentation: Segmentation
-) -> Columns:
-    """Return the columns of ``passes``: the three passes at the nodes with their covariances, separation, position."""
+    log: Log, t: Array, passes: Mapping[str, Pass], position: Position | None, segmentation: Segmentation,
+    relative: bool,
+) -> Columns:  # fmt: skip
+    """Return the columns of ``passes``: the three passes at the nodes with their covariances, separation, position.
+
+    ``relative``: heading counts from the start; the backward pass has none of its own.
+    """
     segment, moving = segment_of(t, segmentation)
     columns: Columns = {
         "timestamp_ns": log.t0_ns + np.round(t * 1e9).astype(np.int64),
@@ -102,6 +112,9 @@ def pass_columns(
     columns |= {f"smoothed_sigma_{part}_deg": sigma[:, i] for i, part in enumerate(("roll", "pitch", "yaw"))}
     apart, predicted = separation(passes["forward"], passes["backward"])
     columns |= vector("separation_{}_deg", np.degrees(apart)) | vector("sigma_separation_{}_deg", np.degrees(predicted))
+    if relative:
+        for name in ("backward_yaw_deg", "backward_sigma_att_z_deg", "separation_z_deg", "sigma_separation_z_deg"):
+            columns[name] = np.full(len(t), np.nan)
     return columns | _position_at_nodes(log, t, position)
 
 

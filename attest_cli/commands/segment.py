@@ -45,5 +45,6 @@ def run(
         console.warn(warning["message"], warning["hint"])
     stops = sum(row["kind"] == "stop" for row in rows)
     console.say((f"{counted(stops, 'stop')}, {counted(len(rows) - stops, 'motion').lower()}", "strong"))
-    console.say(("→ ", "mute"), str(picture))
+    if picture.is_file():
+        console.say(("→ ", "mute"), str(picture))
     return OK

@@ -58,7 +58,7 @@ def _flat(found: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str
         elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
             for number, item in enumerate(value, start=1):
                 yield f"{prefix}{name} {number}", ", ".join(f"{k} {v}" for k, v in item.items() if v not in {None, ""})
-        else:
+        elif value not in ("", None, [], ()):
             yield f"{prefix}{name}", ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
@@ -75,6 +75,10 @@ def _tell(report: Mapping[str, Any], folder: Path, console: Console) -> None:
         console.say((f"  {what:<{label}}  ", "mute"), f"{number:<{value}}", (f"  {note}" if note else "", "mute"))
     for warning in report["warnings"]:
         console.warn(warning["message"], warning["hint"], "FAIL" if warning["lost"] else "WARN")
+    told = {warning["message"] for warning in report["warnings"]}
+    for check in report["checks"]:
+        if check["status"] != "PASS" and check["fact"] not in told:
+            console.warn(check["fact"], check["detail"], check["status"])
     for line in (report.get("advice") or {}).get("lines", []):
         console.say(("  advice: ", "mute"), line)
     if console.verbose:

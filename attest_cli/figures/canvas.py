@@ -152,7 +152,7 @@ def _write(image: Any, page: Page, text: Text) -> None:
 
 
 def to_palette(rgba: Pixels, paper: tuple[int, int, int], exact: list[tuple[int, int, int]]) -> tuple[Pixels, Pixels]:
-    """Opaque pixels (h, w, 4) as an index image (h, w) and a palette (256, 3): ``exact`` colours stay what they are, the
+    """Opaque pixels (h, w, 4) as an index image (h, w) and a palette (256, 3): ``exact`` colours stay as they are, the
     rest go to the most used bins of 4 bits per channel at the mean of each bin, or to the nearest entry.
     """
     packed = np.ascontiguousarray(rgba).view("<u4")[..., 0]  # alpha, blue, green, red from the highest byte

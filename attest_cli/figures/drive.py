@@ -94,9 +94,9 @@ class Drive:
         found = self.result.passes.get(name)
         return np.full(self.t.size, np.nan) if found is None else np.asarray(found, dtype=np.float64)
 
-    def tilt_sigma(self, which: str) -> Array:
+    def tilt_sigma(self, which: str, rows: slice = slice(None)) -> Array:
         """Sigma of the tilt in degrees: root of the sum over the two level axes."""
-        return np.hypot(self.column(f"{which}_sigma_att_x_deg"), self.column(f"{which}_sigma_att_y_deg"))
+        return np.hypot(*(self.column(f"{which}_sigma_att_{axis}_deg")[rows] for axis in "xy"))
 
     def angle(self, which: str, name: str) -> Array:
         """Roll, pitch or yaw of one pass in degrees; the yaw without jumps."""

@@ -80,7 +80,7 @@ def draw(result: Result, theme: str = "light", sensor: str = "") -> Page | None:
         f"Innovations over measurement number, histogram of NIS and autocorrelation; {data.rejected} of "
         f"{data.nis.size} rejected.", status(data),
     )  # fmt: skip
-    _scatter(page, data, _rate_words(data))
+    _scatter(page, data)
     _histogram(page, data)
     _autocorrelation(page, data)
     return page
@@ -139,11 +139,7 @@ def looks(components: int) -> list[tuple[str, str, str]]:
     return [("x", "x", ""), ("y", "y", ""), ("z", "z", "")]
 
 
-def _rate_words(data: Found) -> str:
-    return "measurement number" if data.nis.size > 1 else "measurement"
-
-
-def _scatter(page: Page, data: Found, label: str) -> None:
+def _scatter(page: Page, data: Found) -> None:
     """Innovations over measurement number, alternate segments shaded, rejected at the edge."""
     count = data.nis.size
     panel = page.panel((0.95, 1.12, 6.75, 1.25), (-0.5, count - 0.5), (-EDGE, EDGE))
@@ -151,7 +147,7 @@ def _scatter(page: Page, data: Found, label: str) -> None:
     panel.polygon([-0.5, count - 0.5, count - 0.5, -0.5], [-2, -2, 2, 2], "band2")
     panel.across(0.0)
     panel.y_axis(([-4.0, -2.0, 0.0, 2.0, 4.0], ["−4", "−2", "0", "+2", "+4"]))
-    panel.x_axis(ticks.linear(0.0, max(count - 1.0, 1.0), 7), label)
+    panel.x_axis(ticks.linear(0.0, max(count - 1.0, 1.0), 7), "measurement number")
     at = np.arange(count, dtype=np.float64)
     kinds = looks(data.z.shape[1])
     if count <= MOST_POINTS:

@@ -77,9 +77,8 @@ def height(found: Sequence[Fact]) -> float:
     return 0.29 + sum(f.height for f in found)
 
 
-def what_to_know(page: Page, found: Sequence[Fact], x: float, y: float, right: float) -> None:
+def what_to_know(page: Page, found: Sequence[Fact], x: float, y: float) -> None:
     """Draw the list with its head on the baseline ``y``."""
-    assert right > x
     page.text(x, y, "What to know", size=style.ROW, bold=True)
     y += 0.29
     for fact in found:
@@ -103,8 +102,9 @@ def weakest_of(drive: Drive) -> list[Part]:
 def sigmas_of(drive: Drive, part: Part) -> list[float]:
     """Worst smoothed sigma of tilt, and of heading where there is one, in a segment; 0 where nothing is known."""
     rows = drive.during(part.start, part.end)
-    found = [drive.tilt_sigma("smoothed"), *([] if drive.relative else [drive.column("smoothed_sigma_att_z_deg")])]
-    return [float(np.max(values[rows], initial=0.0, where=np.isfinite(values[rows]))) for values in found]
+    found = [drive.tilt_sigma("smoothed", rows)]
+    found += [] if drive.relative else [drive.column("smoothed_sigma_att_z_deg")[rows]]
+    return [float(np.max(values, initial=0.0, where=np.isfinite(values))) for values in found]
 
 
 def weakest_height(drive: Drive) -> float:

@@ -215,7 +215,7 @@ class Bottom:
             at = lists.weakest(page, drive, LEFT, head) if self.table else head
             page.text(LEFT, at, lists.why_no_track(drive), size=style.NOTE, colour="mute")
         if self.facts:
-            lists.what_to_know(page, self.facts, 4.95, head, RIGHT)
+            lists.what_to_know(page, self.facts, 4.95, head)
 
 
 def _bottom(drive: Drive, top: float, *, brief: bool) -> Bottom | None:

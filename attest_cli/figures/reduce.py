@@ -6,8 +6,6 @@ import numpy as np
 
 from ..records import Array, Bools, Ints
 
-GAP_PERIODS = 5.0
-
 
 def wrap_deg(angle: Array) -> Array:
     """Angle in degrees folded to [-180, 180)."""
@@ -27,15 +25,13 @@ def unwrap_deg(angle: Array) -> Array:
 
 
 def break_after(t: Array, gaps: Array) -> Bools:
-    """True at i where a line must not run from sample i to i + 1: over a gap of the log, or a hole in the samples."""
+    """True at i where a line must not run from sample i to i + 1: over a gap of the log.
+
+    ``t`` (n,) and ``gaps`` (g, 2) in s. The spacing itself tells nothing: nodes stand closer in motion than at stops.
+    """
     breaks = np.zeros(t.size, dtype=np.bool_)
-    if t.size < 2:
-        return breaks
-    steps = np.diff(t)
-    usual = float(np.quantile(steps, 0.95))
-    breaks[:-1] = steps > max(GAP_PERIODS * usual, 1e-9)
     for start, end in gaps:
-        breaks[:-1] |= (t[:-1] < end - 1e-9) & (t[1:] > start + 1e-9) & (steps >= 0.5 * (end - start))
+        breaks[:-1] |= (t[:-1] < end - 1e-9) & (t[1:] > start + 1e-9) & (np.diff(t) >= 0.5 * (end - start))
     return breaks
 
 

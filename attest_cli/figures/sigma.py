@@ -76,7 +76,9 @@ def _titles(drive: Drive) -> list[str]:
     if share > 0.0:
         limit = f"{threshold:g}°"
         return [f"{head}; forward alone exceeds{axis} {limit} for {percent(share)} of the log", head]
-    reach = drive.stat("forward_sigma_heading_max_deg") if name == "heading" else math.nan
+    forward = drive.column("forward_sigma_att_z_deg") if name == "heading" else drive.tilt_sigma("forward")
+    forward = forward[np.isfinite(forward) & drive.settled("forward")]
+    reach = float(forward.max()) if forward.size else math.nan
     if math.isfinite(reach):
         return [f"{head}; forward alone reaches {two_digits(reach)}°", head]
     return [f"{head}; forward alone stays below {threshold:g}°" if math.isfinite(threshold) and share == 0.0 else head]

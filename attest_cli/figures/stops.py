@@ -55,9 +55,11 @@ def titles(drive: Drive) -> list[str]:
     detector = _detector(drive)
     margin, source = real(detector.get("margin")), str(detector.get("source") or "imu")
     if not drive.stops:
-        least, enter = drive.column("stop_statistic"), real(detector.get("enter"))
-        known = least[least > 0.0]
-        tail = f"; the statistic stays above {two_digits(float(known.min()))}" if known.min() > enter else ""
+        statistic, enter = drive.column("stop_statistic"), real(detector.get("enter"))
+        known = statistic[statistic > 0.0]
+        least_of = float(known.min())  # rounded down, so that "above" stays true
+        words = number(math.floor(least_of)) if least_of >= 10.0 else number(math.floor(10.0 * least_of) / 10.0, 1)
+        tail = f"; the statistic stays above {words}" if least_of > enter else ""
         return [f"No stop found{tail}"]
     if not drive.motions:
         return [

@@ -88,7 +88,7 @@ def time(start: float, end: float, most: int = 8) -> Ticks:
     span = max(end - start, 1e-3)
     hours = span >= HOURS_FROM_S
     most = most + most // 2 if hours else most  # short words leave room for more
-    step = next((s for s in _TIME_STEPS if span / s <= most), _TIME_STEPS[-1])
+    step = next((s for s in _TIME_STEPS if span / s <= most), 3600.0 * nice_step(span / 3600.0, most))
     at = _multiples(start, end, step)
     if hours:
         decimals = decimals_of(step / 3600.0)

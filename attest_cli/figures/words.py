@@ -52,8 +52,7 @@ def two_digits(value: float, *, up: bool = False) -> str:
         return "–"
     if value == 0.0:
         return "0"
-    decimals = sigma_decimals(value)
-    step = 10.0**-decimals
+    step = 10.0 ** (math.floor(math.log10(abs(value)) + 1e-9) - 1)
     rounded = math.ceil(abs(value) / step - 1e-9) * step if up else round(abs(value) / step) * step
     return number(math.copysign(rounded, value), min(max(sigma_decimals(rounded), 0), 7))
 

@@ -144,26 +144,34 @@ def information(chain: Chain) -> tuple[Array, Array]:
     r"""Backward information filter: ``Y`` (n, s, s), ``y`` (n, s) of all measurements *after* node k, about ``d_k``.
 
     Per node, backwards: absorb :math:`(H^TR^{-1}H,H^TR^{-1}r)`, move to the predicted estimate
-    :math:`Y\leftarrow J^TYJ,\ y\leftarrow J^Ty+Y\Delta x`, step back :math:`Y\leftarrow\Phi^T(I+YQ)^{-1}Y\Phi`.
-    Source: Fraser & Potter 1969, in the note's form 4(b); neither ``Y`` nor ``P`` is inverted.
+    :math:`Y\leftarrow J^TYJ,\ y\leftarrow J^Ty+Y\Delta x`, step back :math:`Y\leftarrow\Phi^T(I+YQ)^{-1}Y\Phi`, with ``Phi``
+    and ``Q`` composed over each stretch without measurements, so that all its nodes are solved in one batch. Source: Fraser & Potter 1969, in the note's form 4(b); neither ``Y`` nor ``P`` is inverted.
     """
     n, s = chain.dx.shape
     Y, y = np.zeros((n, s, s)), np.zeros((n, s))
     J, _ = chain.reset_jacobians()
-    moved = np.any(chain.dx != 0.0, axis=1)
-    eye = np.eye(s)
-    for k in range(n - 1, 0, -1):
-        Yk, yk = Y[k], y[k]
-        if moved[k]:
-            yk = J[k].T @ (yk + chain.vec[k])
-            Yk = J[k].T @ (Yk + chain.info[k]) @ J[k]
-            yk = yk + Yk @ chain.dx[k]
-        right = np.empty((s, s + 1))
-        right[:, :s], right[:, s] = Yk @ chain.Phi[k - 1], yk
-        back = chain.Phi[k - 1].T @ np.linalg.solve(eye + Yk @ chain.Q[k - 1], right)
-        Y[k - 1] = 0.5 * (back[:, :s] + back[:, :s].T)
-        y[k - 1] = back[:, s]
+    stops = [0, *np.flatnonzero(np.any(chain.info != 0.0, axis=(1, 2))).tolist()]
+    for first, last in zip(stops[-2::-1], stops[:0:-1], strict=True):
+        y_last = J[last].T @ (y[last] + chain.vec[last])
+        Y_last = symmetric(J[last].T @ (Y[last] + chain.info[last]) @ J[last])
+        y_last = y_last + Y_last @ chain.dx[last]
+        Phi, Q = _composed(chain, first, last)
+        right = np.concatenate([Y_last @ Phi, np.tile(y_last[:, None], (last - first, 1, 1))], axis=2)
+        back = Phi.swapaxes(1, 2) @ np.linalg.solve(np.eye(s) + Y_last @ Q, right)
+        Y[first:last], y[first:last] = symmetric(back[:, :, :s]), back[:, :, s]
     return Y, y
+
+
+def _composed(chain: Chain, first: int, last: int) -> tuple[Array, Array]:
+    """Return ``Phi`` and ``Q`` (last - first, s, s) from each node ``first .. last - 1`` to ``last``, without measurements between."""
+    s = chain.dx.shape[1]
+    Phi, Q = np.empty((last - first, s, s)), np.empty((last - first, s, s))
+    P, N = np.eye(s), np.zeros((s, s))
+    for k in range(last - 1, first - 1, -1):
+        N = N + P @ chain.Q[k] @ P.T
+        P = P @ chain.Phi[k]
+        Phi[k - first], Q[k - first] = P, N
+    return Phi, Q
 
 
 def fuse(chain: Chain, Y: Array, y: Array) -> Errors:

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import rotation
-from .rotation import SMALL, series, sine_ratios
+from .rotation import SMALL, all_small, series, sine_ratios
 
 Array = NDArray[np.float64]
+QUARTIC = ((5, 6), (7, 8), (9, 10), (11, 12), (13, 14))
+QUINTIC = ((6, 7), (8, 9), (10, 11), (12, 13), (14, 15))
 BLOCK = 4096  # intervals handled together: temporaries stay in cache
 
 
@@ -40,18 +42,15 @@ def _add_identity(a: Array, scalar: Array) -> Array:
 
 def _noise_ratios(x2: Array) -> tuple[Array, Array]:
     r"""Return :math:`(x^2/2+\cos x-1)/x^4` and :math:`(x^3/3+2\sin x-2x)/x^5`, exact near zero."""
+    near = series(x2, 1 / 24, QUARTIC), series(x2, 1 / 60, QUINTIC)
+    if all_small(x2):
+        return near
     small = x2 < SMALL * SMALL
     safe = np.where(small, 1.0, x2)
     x = np.sqrt(safe)
     half = np.sin(0.5 * x)
-    d = np.where(
-        small, series(x2, 1 / 24, ((5, 6), (7, 8), (9, 10), (11, 12), (13, 14))), (0.5 * safe - 2 * half * half) / safe**2
-    )
-    e = np.where(
-        small, series(x2, 1 / 60, ((6, 7), (8, 9), (10, 11), (12, 13), (14, 15))),
-        (safe * x / 3 + 2 * np.sin(x) - 2 * x) / (safe**2 * x),
-    )  # fmt: skip
-    return d, e
+    far = (0.5 * safe - 2 * half * half) / safe**2, (safe * x / 3 + 2 * np.sin(x) - 2 * x) / (safe**2 * x)
+    return np.where(small, near[0], far[0]), np.where(small, near[1], far[1])
 
 
 def _blocks(rate: Array, dt: Array) -> tuple[Array, Array, Array, Array]:

@@ -35,8 +35,8 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
         File and channel, for messages.
     stamps_ns : (n,) int64, as found; ``values`` (n, k)
     strict : bool
-        As an IMU needs it: refuse a clock that steps back by more than 0.5 s, and spread rows that share a stamp, so that
-        the stamps increase strictly. Else such steps are sorted together, and measurements may share a stamp.
+        As an IMU needs it: refuse a clock that steps back by more than 0.5 s, and spread rows that share a stamp, so
+        that the stamps increase strictly. Else such steps are sorted together, and measurements may share a stamp.
 
     Raises
     ------

@@ -150,9 +150,7 @@ def _scalar(words: list[str]) -> tuple[str, str, int, str] | None:
     for canonical, aliases in SCALARS.items():
         for rank, alias in enumerate(aliases):
             front = _front(words, alias)
-            if front is not None and not (
-                front and canonical == "compass_deg"
-            ):  # the heading of something else is a course
+            if front is not None and (canonical != "compass_deg" or "_".join(words) == alias):  # else it is a course
                 return canonical, "_".join(front), rank, suffix_unit
     return None
 

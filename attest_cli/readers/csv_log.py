@@ -139,7 +139,7 @@ def _table(
         text = table.column(str(column.index))
         if dialect.decimal == ",":
             text = pc.replace_substring(text, ",", ".")
-        number = pc.fill_null(pc.match_substring_regex(text, rf"(?i)^({_NUMBER.pattern})$"), value=False)
+        number = pc.fill_null(pc.match_substring_regex(text, rf"(?i)^({_NUMBER.pattern})$"), fill_value=False)
         wrong = pc.filter(text, pc.and_(pc.is_valid(text), pc.invert(number)))
         if len(wrong) > MAX_BAD_SHARE * table.num_rows and len(wrong) > 1:
             message = (

@@ -41,6 +41,8 @@ def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, .
         found = [unit for unit in found if unit in dated] or found
         if "s" in found and not np.all(finite == np.floor(finite)):  # fractions of a plain `t` are seconds
             found = ["s"]
+        if len(found) != 1:  # stamps without resolution are refused later, by name
+            found = dated or (found if step else ["s"])
     else:
         found = dated or ["s"]
     if len(found) != 1:

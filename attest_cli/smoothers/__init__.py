@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,8 @@ __all__ = ["SMOOTHERS", "backward_estimate"]
 
 def two_filter(run: FilterRun) -> Smoothed:
     """Fuse the forward pass with the backward information filter (Fraser & Potter 1969): the default."""
-    return apply(run, kalman.fuse(run.chain, *kalman.information(run.chain)))
+    information = kalman.information(run.chain)
+    return replace(apply(run, kalman.fuse(run.chain, *information)), information=information)
 
 
 def rts(run: FilterRun) -> Smoothed:
@@ -48,13 +50,21 @@ def apply(run: FilterRun, errors: kalman.Errors) -> Smoothed:
     return Smoothed(run.t, rotation.normalise(q), run.bias + errors.d[:, 3:], P, cross)
 
 
-def backward_estimate(run: FilterRun, weakest: float = 1.0) -> tuple[Array, Array, Array]:
+def backward_estimate(
+    run: FilterRun, information: tuple[Array, Array] | None = None, weakest: float = 1.0
+) -> tuple[Array, Array, Array]:
     """Return the backward pass as an estimate of its own: ``q`` (n, 4), ``bias`` (n, 3), ``P`` (n, 6, 6).
 
     It holds the measurements after each node only. NaN where its attitude is not known to ``weakest`` rad in every axis, or
-    so far from the forward pass (30 deg) that errors about that pass do not describe it.
+    so far from the forward pass (30 deg) that errors about that pass do not describe it. Without a heading sensor it borrows
+    the forward heading, so that its tilt can be shown.
     """
-    Y, y = kalman.information(run.chain)
+    Y, y = information or kalman.information(run.chain)
+    if run.heading == "relative":
+        up_b = rotation.matrix(run.q)[:, 2, :]
+        known = np.einsum("ki,kij,kj->k", up_b, run.chain.P[:, :3, :3], up_b)
+        Y = Y.copy()
+        Y[:, :3, :3] += np.einsum("ki,kj->kij", up_b, up_b) / known[:, None, None]
     n = len(run.t)
     q, bias, P = np.full((n, 4), np.nan), np.full((n, 3), np.nan), np.full((n, 6, 6), np.nan)
     scale = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # rad and rad/s to comparable numbers

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import chdtri
 
@@ -52,7 +54,7 @@ def refine(
         kept = again
         if settled and not fixed:
             break
-    return Smoothed(smoothed.t, q, bias, kalman.symmetric(P), cross, made)
+    return replace(smoothed, q=q, bias=bias, P=kalman.symmetric(P), cross=cross, passes=made)
 
 
 def _kept(found: Innovations) -> Kept:

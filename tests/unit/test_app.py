@@ -181,6 +181,21 @@ def test_words_go_to_stderr_and_the_finding_comes_first(
     assert err.rstrip().splitlines()[-1].startswith("→ drive.attest/")
 
 
+def test_a_check_that_fails_is_told_once(pipeline: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
+    checks = [
+        {"name": "white", "status": "WARN", "fact": "Innovations are not white", "detail": "mean NIS 9"},
+        {"name": "gap", "status": "WARN", "fact": "gap of 2 s", "detail": "at 5:30"},
+        {"name": "agree", "status": "PASS", "fact": "Passes agree", "detail": ""},
+    ]
+    warning = {"code": "gap", "message": "gap of 2 s"}
+    pipeline(smooth=smoothing(finding(verdict="WARN", checks=checks, warnings=[warning])))
+    assert run(["smooth", "drive.csv"]) == 0
+    err = capsys.readouterr().err
+    assert "▲ Innovations are not white\n  mean NIS 9\n" in err
+    assert err.count("gap of 2 s") == 1
+    assert "Passes agree" not in err
+
+
 def test_json_on_stdout_is_the_report(pipeline: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
     report = finding()
     pipeline(smooth=smoothing(report))
@@ -279,12 +294,19 @@ def test_report_without_a_result_is_refused(
     assert "no result folder here" in capsys.readouterr().err
 
 
-def test_segment_prints_an_aligned_table(pipeline: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
+def test_segment_prints_an_aligned_table(
+    pipeline: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def segments(_paths: Any, _effective: Any, output: Path, _overwrite: bool) -> dict[str, Any]:
+        output.write_bytes(b"picture")
+        return {"segments": rows, "warnings": [], "detector": {}}
+
+    monkeypatch.chdir(tmp_path)
     rows = [
         {"index": 1, "kind": "stop", "start_s": 0.0, "end_s": 12.34, "duration_s": 12.34},
         {"index": 2, "kind": "motion", "start_s": 12.34, "end_s": 135.0, "duration_s": 122.66},
     ]
-    pipeline(segments=lambda *_: {"segments": rows, "warnings": [], "detector": {}})
+    pipeline(segments=segments)
     assert run(["segment", "drive.csv"]) == 0
     out, err = capsys.readouterr()
     assert out.splitlines() == [

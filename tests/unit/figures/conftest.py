@@ -156,7 +156,7 @@ def add_bias(
         passes[f"smoothed_gyro_bias_{axis}_rad_s"] = truth + 0.0005 * DEG * slow(rng, t.size, 300)
         passes[f"smoothed_sigma_gyro_bias_{axis}_rad_s"] = 0.0 * sigma if spec.zero_sigma else sigma
         for which, held in (("forward", begin), ("backward", end)):
-            values = truth[held] + 0.05 * DEG * np.exp(-(t - t[0] if which == "forward" else t[-1] - t) / 2.0)
+            values = truth[held] + 0.2 * DEG * np.exp(-(t - t[0] if which == "forward" else t[-1] - t) / 2.0)
             known = which == "forward" or spec.backward
             passes[f"{which}_gyro_bias_{axis}_rad_s"] = values if known else np.full_like(t, np.nan)
             passes[f"{which}_sigma_gyro_bias_{axis}_rad_s"] = np.full_like(t, 0.004 * DEG if known else np.nan)

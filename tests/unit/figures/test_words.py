@@ -10,7 +10,8 @@ import pytest
 from attest_cli.figures import style, words
 
 HOSTILE = [
-    "a\u202egnp.exe", "x\x1b]0;evil\x07y", "\u200f\u2066abc\u2069", "e\u0301\u0301\u0301\u0301", "\ue000\uf8ff", "line\r\nbreak\ttab",
+    "a\u202egnp.exe", "x\x1b]0;evil\x07y", "\u200f\u2066abc\u2069", "e\u0301\u0301\u0301\u0301",
+    "\ue000\uf8ff", "line\r\nbreak\ttab",
     "$x_1$ \\frac{", "[red]bold[/red]", "\ud800", "z" * 140,
 ]  # fmt: skip
 

@@ -1,0 +1,172 @@
+"""Text tables in all the dialects met in the field, and the plain refusal of what is no log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from attest_cli.errors import AttestError
+from attest_cli.readers import read
+from attest_cli.records import Recording
+from attest_cli.settings import Settings
+
+HEADER = "timestamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+ROW = "{ns},0.1,-0.2,0.3,0.01,0.02,9.81"
+QUOTED = ROW + ',"a, b"'
+Load = Callable[..., Recording]
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Load:
+    def from_text(text: str | bytes, name: str = "log.csv") -> Recording:
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read(path, Settings())
+
+    return from_text
+
+
+def rows(count: int = 5, template: str = ROW, separator: str = "\n") -> str:
+    return separator.join(template.format(ns=1_780_308_000_000_000_001 + k * 10_000_000, s=k * 0.01) for k in range(count))
+
+
+def only(recording: Recording) -> tuple[list[int], dict[str, list[float]]]:
+    (channel,) = recording.channels
+    return channel.stamps_ns.tolist(), {name: values.tolist() for name, values in channel.values.items()}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{HEADER}\n{rows()}\n",
+        f"{HEADER}\n{rows()}",
+        f"\ufeff{HEADER}\r\n{rows(separator=chr(13) + chr(10))}\r\n",
+        f"#{HEADER}\n{rows()}\n",
+        f"# made by hand\n# more, with, commas\n{HEADER}\n{rows()}\n",
+        f"Test Name:,Pendulum,,,,,\nSample Rate:,128,Hz,,,,\n{HEADER}\nns,rad/s,rad/s,rad/s,m/s^2,m/s^2,m/s^2\n{rows()}\n",
+        HEADER.replace(",", ";") + "\n" + rows(template=ROW.replace(",", ";")),
+        HEADER.replace(",", ";") + "\n" + rows(template=ROW.replace(",", ";").replace(".", ",")),
+        HEADER.replace(",", "\t") + "\n" + rows(template=ROW.replace(",", "\t")),
+        ",".join(f'"{name}"' for name in HEADER.split(",")) + f"\n{rows()}\n",
+        f"{HEADER}\n{rows(template=ROW.replace(',', ', '))}\n",
+        f"{HEADER},note\n{rows(template=QUOTED)}\n",
+        f"{HEADER}\n{rows(2)}\n# a remark\n{rows(5).split(chr(10), 2)[2]}\n",
+    ],
+    ids=["plain", "no-last-newline", "bom-crlf", "hash-header", "comments", "preamble-and-units", "semicolon", "decimal-comma",
+         "tabs", "quoted-header", "spaces", "quoted-text", "comment-inside"],
+)  # fmt: skip
+def test_every_dialect_gives_the_same_values(load: Load, text: str) -> None:
+    stamps, values = only(load(text))
+    assert stamps == [1_780_308_000_000_000_001 + k * 10_000_000 for k in range(5)]
+    assert values["gyro_y"] == [-0.2] * 5
+    assert values["accel_z"] == [9.81] * 5
+
+
+def test_columns_are_found_in_any_order_and_only_those_in_use_are_kept(load: Load) -> None:
+    recording = load("az,ay,ax,junk,gz,gy,gx,t\n9.8,0.2,0.1,7,3,2,1,0.00\n9.8,0.2,0.1,7,3,2,1,0.01\n")
+    stamps, values = only(recording)
+    assert stamps == [0, 10_000_000]
+    assert [values[name][0] for name in ("gyro_x", "gyro_y", "gyro_z", "accel_x")] == [1.0, 2.0, 3.0, 0.1]
+    assert dict(recording.other) == {"junk": "column"}
+
+
+def test_sensors_of_their_own_rates_share_a_table_by_blank_cells(load: Load) -> None:
+    text = f"{HEADER},sun_x,sun_y,latitude,longitude\n"
+    text += "\n".join(f"{k}0000000,1,2,3,0,0,9.8," + ("0.1,0.2,46.5,6.6" if k == 2 else ",,,") for k in range(4))
+    channels = {channel.role: channel for channel in load(text).channels}
+    assert {role: channel.stamps_ns.size for role, channel in channels.items()} == {"imu": 4, "sun": 1, "gps": 1}
+    assert channels["sun"].stamps_ns.tolist() == [20_000_000]
+    assert list(channels["sun"].values) == ["sun_x", "sun_y"]
+
+
+def test_gyro_and_accelerometer_in_rows_of_their_own_are_two_channels(load: Load) -> None:
+    lines = [f"{k * 0.005:.3f}," + ("1,2,3,,," if k % 2 else ",,,0,0,9.8") for k in range(10)]
+    assert [channel.role for channel in load("t,gx,gy,gz,ax,ay,az\n" + "\n".join(lines)).channels] == ["gyro", "accel"]
+
+
+def test_two_imus_in_one_table_stay_apart(load: Load) -> None:
+    names = [f"{side}/{what}/{axis}" for side in ("Left", "Right") for what in ("Acceleration", "Angular Velocity") for axis in "XYZ"]
+    recording = load(f"Time (s),{','.join(names)}\n0,{','.join('123456789012')}\n0.01,{','.join('123456789012')}\n")
+    assert [channel.name for channel in recording.channels] == ["left/imu", "right/imu"]
+    assert recording.channels[1].values["accel_x"][0] == 7.0
+
+
+def test_a_device_orientation_has_no_role_but_a_canonical_one_has(load: Load) -> None:
+    foreign = load(f"{HEADER},qw,qx,qy,qz\n{rows(template=ROW + ',1,0,0,0')}")
+    assert [channel.role for channel in foreign.channels] == ["imu", ""]
+    own = load(f"{HEADER},q_w,q_x,q_y,q_z\n{rows(template=ROW + ',1,0,0,0')}")
+    assert [channel.role for channel in own.channels] == ["imu", "orientation"]
+
+
+def test_a_stray_text_cell_is_blank_and_said(load: Load) -> None:
+    text = f"{HEADER}\n{rows(300)}\n".replace("0.1,-0.2", "oops,-0.2", 1)
+    recording = load(text)
+    assert np.isnan(recording.channels[0].values["gyro_x"][0])
+    assert np.count_nonzero(np.isnan(recording.channels[0].values["gyro_x"])) == 1
+    assert [w.code for w in recording.warnings] == ["text-cells"]
+    assert "'oops'" in recording.warnings[0].message
+
+
+def test_a_cut_last_row_is_skipped_and_said(load: Load) -> None:
+    recording = load(f"{HEADER}\n{rows(300)[:-20]}")
+    assert recording.channels[0].stamps_ns.size == 299
+    assert [w.code for w in recording.warnings] == ["ragged-rows"]
+
+
+def test_rows_without_a_time_are_dropped_and_said(load: Load) -> None:
+    recording = load(f"{HEADER}\n{rows(3)}\n,0.1,-0.2,0.3,0.01,0.02,9.81\n")
+    assert recording.channels[0].stamps_ns.size == 3
+    assert [w.code for w in recording.warnings] == ["rows-without-time"]
+
+
+def test_dates_are_stamps(load: Load) -> None:
+    lines = "\n".join(f"2026-06-01T10:00:00.{k:03d}Z,1,2,3,0,0,9.8" for k in range(0, 50, 10))
+    assert only(load(f"time,gx,gy,gz,ax,ay,az\n{lines}"))[0][:2] == [1_780_308_000_000_000_000, 1_780_308_000_010_000_000]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"),
+        (f"{HEADER}\n", "no row of numbers"),
+        (rows(), "no header"),
+        (f"{HEADER},gyro_x\n{rows(template=ROW + ',1')}", "more than once"),
+        ("t,gyro_x,gyro_z,accel_x,accel_y,accel_z\n0,1,2,3,4,5\n", "gyro_y is missing"),
+        ("gyro_x,gyro_y,gyro_z\n0,1,2\n", "no time column"),
+        ("t,battery,voltage\n0,1,2\n1,1,2\n", "no column that attest knows"),
+        ("just some prose\nover two lines\n", "not a table"),
+        (f"{HEADER}\n" + rows().replace("0.1", "broken"), "holds text"),
+        ("\x00\x01\x02 binary", "neither"),
+        ("t,gx,gy,gz,ax,ay,az\n" + "\n".join(f"{k * 500},0,0,0,0,0,9.8" for k in range(60)), "unit of time"),
+        (",Accelerometer,,,Gyroscope,,\n,X,Y,Z,X,Y,Z\n0.1,1,2,3,4,5,6\n", "several rows"),
+        ("timestamp tx ty tz qx qy qz qw\n0.1 0 0 0 0 0 0 1\n", "not a table"),
+    ],
+)
+def test_what_is_no_log_is_refused_in_one_line_that_names_the_file(load: Load, text: str, says: str) -> None:
+    with pytest.raises(AttestError, match=says) as refused:
+        load(text)
+    assert "log.csv" in refused.value.message
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("head", "says"),
+    [(b"#ROSBAG V2.0\n", "ROS 1 bag"), (b"\xff\xfet\x00", "UTF-16"), (b"\x1f\x8b\x08", "gzip"), (b"PK\x03\x04", "zip")],
+)
+def test_other_files_are_called_by_their_name(load: Load, head: bytes, says: str) -> None:
+    with pytest.raises(AttestError, match=says):
+        load(head + b"x" * 100)
+
+
+def test_a_missing_file_a_folder_and_a_misnamed_one_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_text("x")
+    with pytest.raises(AttestError, match=r"did you mean .*drive\.csv"):
+        read(tmp_path / "drvie.csv", Settings())
+    with pytest.raises(AttestError, match="folder"):
+        read(tmp_path, Settings())
+    (tmp_path / "log.mcap").write_text("timestamp")
+    with pytest.raises(AttestError, match="not MCAP"):
+        read(tmp_path / "log.mcap", Settings())

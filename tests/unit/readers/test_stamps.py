@@ -1,0 +1,97 @@
+"""Stamps come through exactly, and a unit of time is told only where one fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from attest_cli.errors import AttestError
+from attest_cli.readers import stamps
+
+LOG = Path("log.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "expected"),
+    [
+        ("1700000000.123456789", "s", 1_700_000_000_123_456_789),
+        ("1403715273262142976", "ns", 1_403_715_273_262_142_976),
+        ("1.40363657975856E+018", "ns", 1_403_636_579_758_560_000),
+        ("1550879504438281", "us", 1_550_879_504_438_281_000),
+        ("0.0100789071239999", "s", 10_078_907),  # digits below 1 ns are cut
+        (" 12.5", "ms", 12_500_000),
+        ("-0.25", "s", -250_000_000),
+    ],
+)
+def test_text_is_read_to_the_nanosecond(text: str, unit: str, expected: int) -> None:
+    stamps_ns, valid = stamps.from_text(pa.chunked_array([[text, "1"]]), unit, LOG)
+    assert stamps_ns[0] == expected
+    assert valid.tolist() == [1.0, 1.0]
+
+
+def test_text_that_is_no_number_is_not_a_stamp() -> None:
+    stamps_ns, valid = stamps.from_text(pa.chunked_array([["0.5", "Step: 0.005", None]]), "s", LOG)
+    assert stamps_ns.tolist() == [500_000_000, 0, 0]
+    assert np.isnan(valid).tolist() == [False, True, True]
+
+
+def test_stamps_beyond_64_bits_are_refused() -> None:
+    with pytest.raises(AttestError, match="year 2262"):
+        stamps.from_text(pa.chunked_array([["1403715273262142976"]]), "s", LOG)
+
+
+def test_chunks_and_slices_keep_their_rows() -> None:
+    column = pa.chunked_array([["9", "1"], ["2", "3"]]).slice(1)
+    assert stamps.from_text(column, "ns", LOG)[0].tolist() == [1, 2, 3]
+
+
+def test_integers_are_scaled_exactly_and_floats_to_their_resolution() -> None:
+    assert stamps.from_numbers(np.array([1_550_879_504_438_281]), "us")[0][0] == 1_550_879_504_438_281_000
+    stamps_ns, valid = stamps.from_numbers(np.array([1.5, np.nan]), "s")
+    assert stamps_ns[0] == 1_500_000_000
+    assert np.isnan(valid[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2026-06-01T10:00:00.000000001Z", 1_780_308_000_000_000_001),
+        ("2026-06-01T12:00:00+02:00", 1_780_308_000_000_000_000),
+        ("2026-06-01 10:00:00.5", 1_780_308_000_500_000_000),
+    ],
+)
+def test_dates_are_read_with_or_without_zone(text: str, expected: int) -> None:
+    assert stamps.from_dates(stamps.parse_dates(pa.chunked_array([[text]]), LOG))[0][0] == expected
+
+
+@pytest.mark.parametrize(
+    ("raw", "unit"),
+    [
+        (np.arange(100) * 0.01, "s"),
+        (1.7e9 + np.arange(100) * 0.01, "s"),
+        (np.arange(100) * 10.0, "ms"),
+        (1.7e12 + np.arange(100) * 1.0, "ms"),  # 1 kHz since 1970: the step alone would fit seconds too
+        (1.55e15 + np.arange(100) * 7812.0, "us"),
+        (1.4e18 + np.arange(100) * 5e6, "ns"),
+        (np.full(100, 1.7e9), "s"),  # no resolution at all: refused later, for that reason
+        (np.repeat(1.7e9 + 128.0 * np.arange(10), 10), "s"),  # float32 since 1970
+    ],
+)
+def test_the_unit_of_an_imu_is_told_by_step_and_date(raw: np.ndarray, unit: str) -> None:
+    found, told = stamps.guess_unit(raw, imu=True, path=LOG)
+    assert found == unit
+    assert [w.code for w in told] == ([] if unit == "s" else ["time-unit-guessed"])
+
+
+@pytest.mark.parametrize("step", [1.0, 500.0, 1e-6, 3e11])
+def test_a_step_that_fits_no_or_several_units_is_refused(step: float) -> None:
+    with pytest.raises(AttestError, match="unit of time"):
+        stamps.guess_unit(np.arange(100) * step, imu=True, path=LOG)
+
+
+def test_a_slow_sensor_without_a_date_is_in_seconds() -> None:
+    assert stamps.guess_unit(np.arange(20) * 5.0, imu=False, path=LOG)[0] == "s"
+    assert stamps.guess_unit(1.4e18 + np.arange(20) * 5e9, imu=False, path=LOG)[0] == "ns"
