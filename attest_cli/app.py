@@ -14,6 +14,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+_SENSORS = ("sun", "compass", "magnetometer", "odometry", "gps")
 _READ, _METHOD, _OUTPUT, _TALK = "What is read", "Method", "Output", "What is said"
 
 
@@ -263,6 +264,20 @@ def simulate(
     seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same drive.")] = 1999,
     duration: Annotated[float, typer.Option("--duration", metavar="S", min=1, help="Length of the drive, s.")] = 600.0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", min=1, help="IMU samples per second.")] = 100.0,
+    sensors: Annotated[
+        str,
+        typer.Option("--sensors", metavar="A,B", help="Of sun, compass, magnetometer, odometry, gps."),
+    ] = "sun",
+    motion: Annotated[
+        tuple[float, float], typer.Option("--motion", metavar="MIN MAX", help="Length of the motions, s.")
+    ] = (60.0, 300.0),
+    noise: Annotated[
+        Literal["S1", "S2"], typer.Option("--noise", help="S2: the accelerometer has a bias of 0.02 m/s^2.")
+    ] = "S1",
+    variant: Annotated[
+        Literal["nominal", "slow", "slow-no-vibration", "idle-engine", "biased", "noisy"],
+        typer.Option("--variant", help="How hard the stops are to find."),
+    ] = "nominal",
     json: Json = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -271,7 +286,12 @@ def simulate(
     from .commands import simulate as command
     from .commands.console import Console
 
-    options = {"seed": seed, "duration_s": duration, "rate_hz": rate}
+    named = [name.strip() for name in sensors.split(",") if name.strip()]
+    unknown = sorted(set(named) - set(_SENSORS))
+    if unknown:
+        raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(_SENSORS)}", param_hint="--sensors")
+    options = {"seed": seed, "duration_s": duration, "rate_hz": rate, "scenario": noise, "variant": variant}
+    options |= {"motion_s": motion, **{name: name in named for name in _SENSORS}}
     console = Console(json=json, verbose=verbose, quiet=quiet)
     return command.run(scenario, output or Path(scenario), options, console, overwrite=overwrite)
 

@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import assess, mounting, position, tables
+from . import __version__, assess, tables
 from .errors import AttestError
-from .filters import indirect
-from .filters.alignment import Start, align
+from .estimate import Estimate, Progress, body_axes, estimate, locate, silent
 from .maths import rotation
 from .mounting import Mounting
-from .nodes import Nodes, build_nodes
-from .nodes.noise import Noise, find_noise
+from .nodes.noise import find_noise
 from .nodes.observations import observe
 from .position import Position
 from .prepare import prepare
 from .readers import read as read_file
 from .readers.result import read_result
-from .records import FilterRun, Log, Recording, Segmentation, Smoothed, Warn, World
-from .report import write_pages
+from .records import Log, Recording, Result, Segmentation, Warn
+from .report import Report, write_pages
 from .report.build import Run, build
 from .segment import find_segments
 from .settings import Effective, Settings
-from .smoothers import SMOOTHERS, backward_estimate, gauss_newton
+from .smoothers import backward_estimate
 from .track import Attitude, full_rate
 from .world import find_world
 from .writers import write_track
@@ -36,123 +34,14 @@ from .writers.files import atomic_write, check_output, write_csv_rows, write_tab
 from .writers.folder import result_folder
 from .writers.logs import write_recording
 
-Progress = Callable[[str, float], None]
-AUTO_PASSES = 6
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def silent(stage: str, share: float) -> None:
-    """Show no progress."""
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """What the filters made of a log: the world and noise they assumed, the nodes, the passes over them."""
-
-    world: World
-    noise: Noise
-    nodes: Nodes
-    forward: FilterRun
-    smoothed: Smoothed
-    warnings: tuple[Warn, ...]
+LOG_SUFFIXES = (".csv", ".mcap", ".parquet")
+DETECTOR_STEP_S = 0.1  # the statistic is drawn at this step
 
 
 def read(paths: Sequence[Path], settings: Settings) -> tuple[tuple[Recording, ...], Log]:
     """Read the files of one drive: as found, and in SI on one time base."""
     recordings = tuple(read_file(path, settings) for path in paths)
     return recordings, prepare(recordings, settings)
-
-
-def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
-    """Run the forward filter and the smoother over a log: nodes, alignment, forward, backward, Gauss-Newton where it pays."""
-    world, noise = find_world(log, settings), find_noise(log, segmentation, settings)
-    observations, warnings = observe(log, segmentation, world, noise, settings)
-    nodes = build_nodes(log, segmentation, observations, noise, settings)
-    start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=world.field_n is None)
-    progress("forward filter", 0.3)
-    forward = indirect.run(nodes, start, settings.smoothing.gate_probability)
-    progress("smoothing", 0.5)
-    smoothed = smooth_run(nodes, start, forward, settings)
-    return Estimate(world, noise, nodes, forward, smoothed, tuple(warnings) + _heading_warnings(forward))
-
-
-def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Settings) -> Smoothed:
-    """Smooth a forward run; then Gauss-Newton passes where asked for, or (auto) where a linearisation may have been poor."""
-    cfg = settings.smoothing
-    smoothed = SMOOTHERS[cfg.smoother](forward)
-    if cfg.smoother not in {"two-filter", "rts"}:
-        return smoothed
-    rejected = float(np.mean(~forward.innovations.used)) if len(forward.innovations.used) else 0.0
-    doubtful = forward.start_in_motion or rejected > gauss_newton.DOUBTFUL_SHARE
-    passes = (AUTO_PASSES if doubtful else 0) if cfg.iterations == "auto" else int(cfg.iterations)
-    if passes == 0:
-        return smoothed
-    again = nodes.rebuild(smoothed.bias)
-    return gauss_newton.refine(again, start, smoothed, forward.innovations, passes, cfg.gate_probability, fixed=cfg.iterations != "auto")
-
-
-def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
-    if forward.heading == "relative":
-        return (
-            Warn("no-heading", "no heading sensor: yaw is relative to the start",
-                 "add a compass, a sun sensor or a magnetometer"),
-        )  # fmt: skip
-    return ()
-
-
-def locate(log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings) -> tuple[Position | None, Mounting | None, list[Warn]]:
-    """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position."""
-    odometry, mode = log.fixes.get("odometry"), settings.smoothing.position
-    warnings: list[Warn] = []
-    seat = None
-    if odometry is not None and settings.imu.mounting == "auto":
-        seat = mounting.find_mounting(log.imu, attitude.q, segmentation, odometry, est.world.gravity)
-        if seat is not None and mounting.axes_agree(seat.q_bv):
-            seat = Mounting(IDENTITY, seat.sigma_deg, seat.lag, "IMU and vehicle axes agree")
-    if mode == "none":
-        return None, seat, warnings
-    if mode == "odometry" and odometry is None:
-        raise AttestError(f"{log.sources[0].name}: position from odometry, but the log has none", "use --position auto")
-    if odometry is not None and mode in {"auto", "odometry"}:
-        if seat is None and not _upright(segmentation, log):
-            warnings.append(
-                Warn("odometry-not-used", "odometry not used: the drive does not show how the IMU sits in the vehicle",
-                     "give [imu] mounting")
-            )  # fmt: skip
-        else:
-            lag = seat.lag if seat else 0.0
-            shifted = type(odometry)(odometry.role, odometry.channel, odometry.t - lag, odometry.values, odometry.sigma)
-            if lag:
-                warnings.append(Warn("odometry-late", f"odometry stamps are {abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the IMU: corrected"))
-            q_bv = seat.q_bv if seat else IDENTITY
-            return position.odometry_position(log.imu, attitude.q, q_bv, est.smoothed, segmentation, shifted, settings), seat, warnings
-    if not segmentation.stops:
-        return None, seat, warnings
-    literal = mode == "literal"
-    found = position.inertial_position(
-        log.imu, attitude.q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity, literal
-    )
-    return found, seat, warnings
-
-
-def _upright(segmentation: Segmentation, log: Log) -> bool:
-    """Return whether gravity at the stops lies along the IMU's z axis, within 30 deg: then its x axis is taken as forward."""
-    if not segmentation.stops:
-        return False
-    up = np.mean([log.imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
-    return bool(up[2] > np.cos(np.radians(30.0)) * np.linalg.norm(up))
-
-
-def body_axes(seat: Mounting | None, settings: Settings) -> tuple[np.ndarray[Any, np.dtype[np.float64]], dict[str, Any]]:
-    """Return the turn from the track's body axes to the IMU's, and how the report tells it (``q_body_sensor``)."""
-    given = settings.imu.mounting
-    if given != "auto":
-        return IDENTITY, {"axes": "vehicle", "q_body_sensor": list(given), "how": "mounting of the settings"}
-    if settings.body.axes == "vehicle" and seat is None:
-        raise AttestError("the drive does not show the vehicle's axes", "give [imu] mounting, or use --body imu")
-    if settings.body.axes == "imu" or seat is None:
-        return IDENTITY, {"axes": "imu", "q_body_sensor": IDENTITY.tolist(), "how": "axes of the IMU"}
-    return seat.q_bv, {"axes": "vehicle", "q_body_sensor": rotation.conjugate(seat.q_bv).tolist(), "how": seat.how}
 
 
 def smooth(
@@ -220,10 +109,9 @@ def _write(folder: Path, run: Run, columns: tables.Columns, settings: Settings, 
     write_csv_rows(_padded(run.segments), folder / "segments.csv")
     _write_report(folder, report)
     progress("drawing", 0.8)
-    report["pages"] = write_pages(read_result(folder), folder, settings.output.theme)
-    _write_report(folder, report)
+    pages = write_pages(read_result(folder), folder, settings.output.theme)
     progress("done", 1.0)
-    return report
+    return _write_report(folder, {**report, "pages": pages})
 
 
 def _metadata(run: Run, report: Mapping[str, Any]) -> dict[str, str]:
@@ -249,25 +137,15 @@ def _padded(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return [{name: row.get(name) for name in names} for row in rows]
 
 
-def _json(report: Mapping[str, Any]) -> str:
-    def clean(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {str(k): clean(v) for k, v in value.items()}
-        if isinstance(value, list | tuple):
-            return [clean(v) for v in value]
-        if isinstance(value, float | np.floating):
-            return float(value) if np.isfinite(value) else None
-        return value.item() if isinstance(value, np.generic) else value
-
-    return json.dumps(clean(report), indent=1, ensure_ascii=False) + "\n"
-
-
-def _write_report(folder: Path, report: Mapping[str, Any]) -> None:
+def _write_report(folder: Path, report: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the report, checked against its model (and so its schema); what is not a number becomes null."""
+    checked = Report.model_validate(report).model_dump(mode="json")
     with atomic_write(folder / "report.json") as temporary:
-        temporary.write_text(_json(report), encoding="utf-8")
+        temporary.write_text(json.dumps(checked, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    return checked
 
 
-def redraw(folder: Path, theme: str, progress: Progress = silent) -> list[Path]:
+def redraw(folder: Path, theme: str | None, progress: Progress = silent) -> list[Path]:
     """Draw the pages of a result again, from the folder alone."""
     result = read_result(folder)
     progress("drawing", 0.2)
@@ -276,11 +154,15 @@ def redraw(folder: Path, theme: str, progress: Progress = silent) -> list[Path]:
     return [folder / "report" / page["file"] for page in pages]
 
 
-def segments(paths: Sequence[Path], effective: Effective, output: Path | None, overwrite: bool = False) -> dict[str, Any]:
+def segments(
+    paths: Sequence[Path], effective: Effective, output: Path | None, overwrite: bool = False
+) -> dict[str, Any]:
     """Find stops and motions only; draw the stop detector's page where ``output`` names a file."""
-    _, log = read(paths, effective.settings)
-    found = find_segments(log, effective.settings)
-    noise = find_noise(log, found, effective.settings)
+    if output is not None:
+        check_output(output, overwrite=overwrite, inputs=paths)
+    settings = effective.settings
+    _, log = read(paths, settings)
+    found = find_segments(log, settings)
     rows = [
         {
             "index": s.index, "kind": "motion" if s.motion else "stop", "start_s": s.start, "end_s": s.end,
@@ -288,10 +170,31 @@ def segments(paths: Sequence[Path], effective: Effective, output: Path | None, o
         }
         for s in found.segments
     ]  # fmt: skip
-    told = [{"code": w.code, "message": w.message, "hint": w.hint, "lost": w.lost} for w in (*log.warnings, *found.warnings)]
-    detector = {"enter": found.enter, "leave": found.leave, "margin": found.margin, "source": found.source,
-                "gyro_noise_density": noise.gyro_density, "accel_noise_density": noise.accel_density}  # fmt: skip
+    detector = {"enter": found.enter, "leave": found.leave, "margin": found.margin, "source": found.source}
+    told = [asdict(w) for w in (*log.warnings, *found.warnings)]
+    if output is not None:
+        _draw_detector(log, found, rows, detector, effective, output)
     return {"segments": rows, "warnings": told, "detector": detector}
+
+
+def _draw_detector(
+    log: Log, found: Segmentation, rows: list[dict[str, Any]], detector: Mapping[str, Any], effective: Effective, output: Path
+) -> None:
+    """Draw the page of the stop detector alone."""
+    from .figures.stops import draw
+
+    t = np.arange(log.imu.t[0], log.imu.t[-1], DETECTOR_STEP_S)
+    span = float(log.imu.t[-1] - log.imu.t[0])
+    report = {
+        "attest_version": __version__, "settings": effective.table(), "gaps": log.gaps.tolist(),
+        "input": {"files": [{"name": p.name, "sha256": ""} for p in log.sources], "duration_s": span, "samples": len(log.imu.t)},
+        "methods": {}, "statistics": {"detector": dict(detector), "stops": len(found.stops), "motions": len(found.motions)},
+    }  # fmt: skip
+    passes = {"t_s": t, "stop_statistic": np.interp(t, log.imu.t, found.statistic)}
+    page = draw(Result(output.parent, report, passes, {}, tuple(rows)), effective.settings.output.theme)
+    if page is not None:
+        with atomic_write(output) as temporary:
+            temporary.write_bytes(page.png())
 
 
 def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
@@ -340,9 +243,6 @@ def simulate(scenario: str, output: Path, options: Mapping[str, Any], overwrite:
     with atomic_write(config) as temporary:
         temporary.write_text(_toml(made.settings), encoding="utf-8")
     return [*logs, truth, config]
-
-
-LOG_SUFFIXES = (".csv", ".mcap", ".parquet")
 
 
 def _toml(tables_: Mapping[str, Mapping[str, Any]]) -> str:

@@ -106,6 +106,8 @@ def _row(page: Page, drive: Drive, k: int, axis: str) -> Panel:
     settled = drive.after_start & drive.before_end
     shown = np.where(settled & drive.moving, sigma, np.nan)
     limit = reduce.robust_limit([np.where(settled, values, np.nan)], shown, drive.moving)
+    if not np.isfinite(limit):  # known at the ends only
+        limit = reduce.robust_limit([values], sigma, drive.moving | True)
     limit = ticks.rounded_up(limit)
     panel = time_panel(page, drive, (0.95, 1.12 + 1.26 * k, 5.35, 1.10), (-limit, limit))
     panel.band(drive.t, -2.0 * sigma, 2.0 * sigma, drive.breaks, "band2")
@@ -114,6 +116,9 @@ def _row(page: Page, drive: Drive, k: int, axis: str) -> Panel:
     panel.series(drive.t, values, drive.breaks, "ink", 1.0)
     beyond(panel, drive.t, {"ink": np.where(settled, values, np.nan)}, limit)
     panel.y_axis(ticks.symmetric(limit))
+    if not np.isfinite(values).any():
+        centre = panel.left + 0.5 * panel.width
+        page.text(centre, panel.top + 0.5, "never known to both passes", colour="mute", align="middle", halo=True)
     row_name(page, panel, axis, drive.directions[k])
     return panel
 

@@ -72,10 +72,10 @@ def _titles(drive: Drive) -> list[str]:
     head = f"Smoothing keeps {name} σ below {two_digits(most, up=True)}°" if most > 0.0 else "Smoothed σ is not known"
     if most == 0.0:
         return ["Smoothed σ is zero all along"]
-    axis = "" if _asked(drive) == (name,) else f" {_asked(drive)[0]}" if len(_asked(drive)) == 1 else " attitude"
     if share > 0.0:
-        limit = f"{threshold:g}°"
-        return [f"{head}; forward alone exceeds{axis} {limit} for {percent(share)} of the log", head]
+        other = _asked(drive)[0] if len(_asked(drive)) == 1 and _asked(drive) != (name,) else ""
+        who = f"forward {other} σ" if other else "forward alone"
+        return [f"{head}; {who} exceeds {threshold:g}° for {percent(share)} of the log", head]
     forward = drive.column("forward_sigma_att_z_deg") if name == "heading" else drive.tilt_sigma("forward")
     forward = forward[np.isfinite(forward) & drive.settled("forward")]
     reach = float(forward.max()) if forward.size else math.nan

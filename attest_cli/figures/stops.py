@@ -83,7 +83,7 @@ def _overall(page: Page, drive: Drive, statistic: Array) -> Panel:
     low = min(float(np.quantile(known, 0.001)), *levels) if levels else float(np.quantile(known, 0.001))
     high = max(float(known.max()), *levels) if levels else float(known.max())
     low, high = max(low, high * 1e-8) / 1.6, high * 1.5
-    panel = time_panel(page, drive, (0.95, 1.12, 5.6, 2.1), (low, high), log=True)
+    panel = time_panel(page, drive, (1.05, 1.12, 5.5, 2.1), (low, high), log=True)
     at = ticks.log(low, high, 7)
     panel.grid(at[0])
     panel.series(drive.t, statistic, drive.breaks, "ink", 0.5 if drive.long else 0.8)

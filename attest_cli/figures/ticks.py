@@ -14,6 +14,7 @@ _TIME_STEPS = (
     0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 180, 300, 600, 900, 1200, 1800,
     3600, 7200, 10800, 14400, 21600, 43200, 86400, 172800, 432000, 864000, 1728000, 4320000, 8640000,
 )  # fmt: skip
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 HOURS_FROM_S = 4 * 3600.0
 
 
@@ -73,14 +74,24 @@ def symmetric(limit: float, unit: str = "") -> Ticks:
 
 
 def log(low: float, high: float, most: int = 8, unit: str = "") -> Ticks:
-    """1-2-5 ticks with plain numbers; only powers of ten where 1-2-5 are more than ``most``."""
+    """1-2-5 ticks with plain numbers (powers of ten from 100 000 on); decades where 1-2-5 are more than ``most``.
+
+    Limits with less than two such ticks between them get linear ones.
+    """
     powers = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
     inside = [(m, p) for p in powers for m in (1, 2, 5) if low * 0.999 <= m * 10.0**p <= high * 1.001]
+    if len(inside) < 2:
+        return linear(low, high, 4, unit)
     if len(inside) > most:
         inside = [(m, p) for m, p in inside if m == 1]
-    stride = -(-len(inside) // most) if inside else 1
-    inside = inside[::stride]
-    return [m * 10.0**p for m, p in inside], [number(m * 10.0**p, max(0, -p)) + unit for m, p in inside]
+    inside = inside[:: -(-len(inside) // most)]
+    return [m * 10.0**p for m, p in inside], [_plain(m, p) + unit for m, p in inside]
+
+
+def _plain(mantissa: int, power: int) -> str:
+    if power < 5:
+        return number(mantissa * 10.0**power, max(0, -power))
+    return ("" if mantissa == 1 else f"{mantissa}×") + "10" + str(power).translate(_SUPERSCRIPTS)
 
 
 def time(start: float, end: float, most: int = 8) -> Ticks:

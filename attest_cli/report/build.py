@@ -143,12 +143,7 @@ def _channels(run: Run) -> list[dict[str, Any]]:
 
 def _settings(run: Run) -> dict[str, Any]:
     """Effective values: what the settings leave open stands with what the log gave."""
-    flat: dict[str, Any] = {}
-    for section, values in run.effective.settings.model_dump(mode="json").items():
-        if isinstance(values, Mapping):
-            flat |= {f"{section}.{key}": value for key, value in values.items()}
-    sources = run.effective.sources
-    out = {key: {"value": value, "source": sources.get(key, "default")} for key, value in flat.items()}
+    out = run.effective.table()
     figures = {
         "gyro_noise_density": run.noise.gyro_density,
         "gyro_random_walk": run.noise.gyro_walk,

@@ -24,9 +24,9 @@ def comment_lines(metadata: Mapping[str, str]) -> list[str]:
 
 
 def write_text(table: pa.Table, path: Path, header: list[str], comments: list[str], delimiter: str = ",") -> None:
-    """Write a table as text, whole or not at all; an empty header writes none. NaN is blank."""
+    """Write a table as text, whole or not at all; an empty header writes none. NaN is blank; no cell needs quotes."""
     blank = {name: _nan_to_null(table.column(name)) for name in table.column_names}
-    options = pv.WriteOptions(include_header=False, delimiter=delimiter, quoting_style="needed")
+    options = pv.WriteOptions(include_header=False, delimiter=delimiter, quoting_style="none")
     with atomic_write(path) as temporary, temporary.open("wb") as stream:
         lines = [*comments, delimiter.join(header)] if header else comments
         stream.write("".join(f"{line}\n" for line in lines).encode())

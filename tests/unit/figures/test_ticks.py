@@ -38,6 +38,8 @@ def test_symmetric_ticks(limit, words):
 def test_log_ticks_are_one_two_five_or_decades():
     assert ticks.log(0.02, 2.5, 8, "°")[1] == ["0.02°", "0.05°", "0.1°", "0.2°", "0.5°", "1°", "2°"]
     assert ticks.log(3.0, 30000.0, 6)[1] == ["10", "100", f"1{THIN}000", f"10{THIN}000"]
+    assert ticks.log(2e4, 3e8, 5)[1] == ["10⁵", "10⁶", "10⁷", "10⁸"]
+    assert ticks.log(1.9, 2.2, 8, "°")[1] == ["1.9°", "2.0°", "2.1°", "2.2°"]
     assert len(ticks.log(1e-6, 1e9, 7)[0]) <= 7
 
 

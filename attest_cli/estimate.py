@@ -1,0 +1,138 @@
+"""From a segmented log to the estimate: forward filter, smoother, full rate, mounting, position."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from . import mounting, position
+from .errors import AttestError
+from .filters import indirect
+from .filters.alignment import Start, align
+from .maths import rotation
+from .mounting import Mounting
+from .nodes import Nodes, build_nodes
+from .nodes.noise import Noise, find_noise
+from .nodes.observations import observe
+from .position import Position
+from .records import Array, FilterRun, Log, Segmentation, Smoothed, Warn, World
+from .settings import Settings
+from .smoothers import SMOOTHERS, gauss_newton
+from .track import Attitude
+from .world import find_world
+
+Progress = Callable[[str, float], None]
+AUTO_PASSES = 6
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
+
+
+def silent(stage: str, share: float) -> None:
+    """Show no progress."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What the filters made of a log: the world and noise they assumed, the nodes, the passes over them."""
+
+    world: World
+    noise: Noise
+    nodes: Nodes
+    forward: FilterRun
+    smoothed: Smoothed
+    warnings: tuple[Warn, ...]
+
+
+def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
+    """Run the forward filter and the smoother over a log: nodes, alignment, forward, backward, Gauss-Newton where it pays."""
+    world, noise = find_world(log, settings), find_noise(log, segmentation, settings)
+    observations, warnings = observe(log, segmentation, world, noise, settings)
+    nodes = build_nodes(log, segmentation, observations, noise, settings)
+    start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=world.field_n is None)
+    progress("forward filter", 0.3)
+    forward = indirect.run(nodes, start, settings.smoothing.gate_probability)
+    progress("smoothing", 0.5)
+    smoothed = smooth_run(nodes, start, forward, settings)
+    return Estimate(world, noise, nodes, forward, smoothed, tuple(warnings) + _heading_warnings(forward))
+
+
+def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Settings) -> Smoothed:
+    """Smooth a forward run; then Gauss-Newton passes where asked for, or (auto) where a linearisation may have been poor."""
+    cfg = settings.smoothing
+    smoothed = SMOOTHERS[cfg.smoother](forward)
+    if cfg.smoother not in {"two-filter", "rts"}:
+        return smoothed
+    rejected = float(np.mean(~forward.innovations.used)) if len(forward.innovations.used) else 0.0
+    doubtful = forward.start_in_motion or rejected > gauss_newton.DOUBTFUL_SHARE
+    passes = (AUTO_PASSES if doubtful else 0) if cfg.iterations == "auto" else int(cfg.iterations)
+    if passes == 0:
+        return smoothed
+    again = nodes.rebuild(smoothed.bias)
+    return gauss_newton.refine(again, start, smoothed, forward.innovations, passes, cfg.gate_probability, fixed=cfg.iterations != "auto")
+
+
+def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
+    if forward.heading == "relative":
+        return (
+            Warn("no-heading", "no heading sensor: yaw is relative to the start",
+                 "add a compass, a sun sensor or a magnetometer"),
+        )  # fmt: skip
+    return ()
+
+
+def locate(log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings) -> tuple[Position | None, Mounting | None, list[Warn]]:
+    """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position."""
+    odometry, mode = log.fixes.get("odometry"), settings.smoothing.position
+    warnings: list[Warn] = []
+    seat = None
+    if odometry is not None and settings.imu.mounting == "auto":
+        seat = mounting.find_mounting(log.imu, attitude.q, segmentation, odometry, est.world.gravity)
+        if seat is not None and mounting.axes_agree(seat.q_bv):
+            seat = Mounting(IDENTITY, seat.sigma_deg, seat.lag, "IMU and vehicle axes agree")
+    if mode == "none":
+        return None, seat, warnings
+    if mode == "odometry" and odometry is None:
+        raise AttestError(f"{log.sources[0].name}: position from odometry, but the log has none", "use --position auto")
+    if odometry is not None and mode in {"auto", "odometry"}:
+        if seat is None and not _upright(segmentation, log):
+            warnings.append(
+                Warn("odometry-not-used", "odometry not used: the drive does not show how the IMU sits in the vehicle",
+                     "give [imu] mounting")
+            )  # fmt: skip
+        else:
+            lag = seat.lag if seat else 0.0
+            shifted = type(odometry)(odometry.role, odometry.channel, odometry.t - lag, odometry.values, odometry.sigma)
+            if lag:
+                warnings.append(Warn("odometry-late", f"odometry stamps are {abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the IMU: corrected"))
+            q_bv = seat.q_bv if seat else IDENTITY
+            return position.odometry_position(log.imu, attitude.q, q_bv, est.smoothed, segmentation, shifted, settings), seat, warnings
+    if not segmentation.stops:
+        return None, seat, warnings
+    literal = mode == "literal"
+    found = position.inertial_position(
+        log.imu, attitude.q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity, literal
+    )
+    return found, seat, warnings
+
+
+def _upright(segmentation: Segmentation, log: Log) -> bool:
+    """Return whether gravity at the stops lies along the IMU's z axis, within 30 deg: then its x axis is taken as forward."""
+    if not segmentation.stops:
+        return False
+    up = np.mean([log.imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
+    return bool(up[2] > np.cos(np.radians(30.0)) * np.linalg.norm(up))
+
+
+def body_axes(seat: Mounting | None, settings: Settings) -> tuple[np.ndarray[Any, np.dtype[np.float64]], dict[str, Any]]:
+    """Return the turn from the track's body axes to the IMU's, and how the report tells it (``q_body_sensor``)."""
+    given = settings.imu.mounting
+    if given != "auto":
+        return IDENTITY, {"axes": "vehicle", "q_body_sensor": list(given), "how": "mounting of the settings"}
+    if settings.body.axes == "vehicle" and seat is None:
+        raise AttestError("the drive does not show the vehicle's axes", "give [imu] mounting, or use --body imu")
+    if settings.body.axes == "imu" or seat is None:
+        return IDENTITY, {"axes": "imu", "q_body_sensor": IDENTITY.tolist(), "how": "axes of the IMU"}
+    return seat.q_bv, {"axes": "vehicle", "q_body_sensor": rotation.conjugate(seat.q_bv).tolist(), "how": seat.how}

@@ -1,0 +1,334 @@
+"""Recordings to one log: roles, several files, faults of rows and clocks, windows, mounting, fixes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from attest_cli.errors import AttestError
+from attest_cli.prepare import prepare
+from attest_cli.records import COLUMNS, Array, Channel, Ints, Log, Recording
+from attest_cli.settings import Settings
+
+T0 = 1_780_308_000_000_000_123
+UNITS = {name: "rad/s" if name.startswith("gyro") else "m/s^2" for name in COLUMNS["imu"]}
+
+
+def imu(n: int = 1000, name: str = "/imu/data", start_ns: int = T0, seed: int = 1) -> Channel:
+    rng = np.random.default_rng(seed)
+    values = {key: rng.normal(9.8 if key == "accel_z" else 0.0, 0.05, n) for key in COLUMNS["imu"]}
+    return Channel(name, "sensor_msgs/msg/Imu", "imu", start_ns + np.arange(n) * 10_000_000, values, UNITS)
+
+
+def half(whole: Channel, role: str, stamps_ns: Ints | None = None, **values: Array) -> Channel:
+    held = {key: values.get(key, whole.values[key]) for key in COLUMNS[role]}
+    return Channel(f"/imu/{role}", "columns", role, whole.stamps_ns if stamps_ns is None else stamps_ns, held, UNITS)
+
+
+def fixes(role: str, t: Array | list[float], values: Any, units: dict[str, str] | None = None, name: str = "") -> Channel:
+    table = np.asarray(values, dtype=np.float64)
+    stamps_ns = T0 + np.rint(np.asarray(t) * 1e9).astype(np.int64)
+    return Channel(name or f"/{role}", "columns", role, stamps_ns, {k: table[:, j] for j, k in enumerate(COLUMNS[role][: table.shape[1]])}, units or {})
+
+
+def recording(*channels: Channel, name: str = "log.csv", other: dict[str, str] | None = None) -> Recording:
+    return Recording(Path(name), "csv", channels, sum(c.stamps_ns.size for c in channels), other or {})
+
+
+def log_of(*channels: Channel, **settings: Any) -> Log:
+    return prepare([recording(*channels)], Settings.model_validate(settings))
+
+
+def codes(log: Log) -> list[str]:
+    return [warning.code for warning in log.warnings]
+
+
+def test_a_clean_log_comes_through_untouched_and_without_a_warning() -> None:
+    channel = imu()
+    log = log_of(channel)
+    assert log.t0_ns == T0
+    np.testing.assert_array_equal(log.stamps_ns, channel.stamps_ns)
+    np.testing.assert_array_equal(log.imu.t, np.arange(1000) * 10_000_000 * 1e-9)
+    np.testing.assert_array_equal(log.imu.gyro_b[:, 1], channel.values["gyro_y"])
+    assert log.coverage == {"rows_in": 1000, "rows_used": 1000, "rows_dropped": 0, "seconds_in": pytest.approx(9.99), "seconds_used": pytest.approx(9.99)}  # fmt: skip
+    assert log.warnings == ()
+    assert log.gaps.shape == (0, 2)
+    assert log.history == ("imu: /imu/data (sensor_msgs/msg/Imu), 1000 of 1000",)
+
+
+class TestRoles:
+    def test_the_imu_with_most_rows_is_taken_and_both_are_named(self) -> None:
+        log = log_of(imu(500, "/a"), imu(1000, "/b"), imu(1000, "/c"))
+        assert log.imu.t.size == 1000
+        (warning,) = log.warnings
+        assert warning.code == "several-channels"
+        assert all(name in warning.message for name in ("/a", "/b", "/c"))
+        assert "/b is used" in warning.message
+
+    def test_settings_choose_the_imu_in_silence(self) -> None:
+        log = log_of(imu(500, "/a"), imu(1000, "/b"), imu={"channel": "/a"})
+        assert log.imu.t.size == 500
+        assert log.warnings == ()
+
+    def test_the_sensor_beside_the_imu_is_taken(self) -> None:
+        near = fixes("magnetometer", [1.0, 2.0], [[2e-5, 0, -4e-5]] * 2, dict.fromkeys(COLUMNS["magnetometer"], "T"), "/front/mag")
+        far = fixes("magnetometer", [1.0, 2.0, 3.0], [[4e-5, 0, 0]] * 3, dict.fromkeys(COLUMNS["magnetometer"], "T"), "/rear/mag")
+        assert log_of(imu(name="/front/imu"), far, near).fixes["magnetometer"].channel == "/front/mag"
+
+    def test_an_unknown_name_is_refused_with_the_nearest(self) -> None:
+        with pytest.raises(AttestError, match="no channel '/imu/dta'") as refused:
+            log_of(imu(), imu={"channel": "/imu/dta"})
+        assert "/imu/data" in refused.value.hint
+
+    def test_a_channel_of_an_unread_kind_is_named_as_such(self) -> None:
+        with pytest.raises(AttestError, match="json"):
+            prepare([recording(imu(), other={"/sun_json": "Sun (json)"})], Settings.model_validate({"map": {"sun": "/sun_json"}}))
+
+    def test_a_bare_vector_plays_the_role_it_is_mapped_to(self) -> None:
+        wind = Channel("/dir", "geometry_msgs/msg/Vector3Stamped", "", T0 + np.arange(1, 4) * 10**9, {k: np.array([0.0, 3.0, 4.0]) + (k == "z") for k in "xyz"})
+        assert log_of(imu(), wind).fixes == {}
+        np.testing.assert_allclose(np.linalg.norm(log_of(imu(), wind, map={"sun": "/dir"}).fixes["sun"].values, axis=1), 1.0)
+
+    def test_a_channel_that_cannot_play_a_role_is_refused(self) -> None:
+        with pytest.raises(AttestError, match="cannot be the sun"):
+            log_of(imu(), map={"sun": "/imu/data"})
+
+    def test_orientation_counts_only_where_it_is_mapped(self) -> None:
+        q = fixes("orientation", [1.0, 2.0], [[1, 0, 0, 0], [0, 0, 0, 2]], name="/imu/data#orientation")
+        device = Channel(q.name, q.kind, "", q.stamps_ns, q.values)
+        assert log_of(imu(), device).fixes == {}
+        assert log_of(imu(), q).fixes == {}
+        mapped = log_of(imu(), device, map={"orientation": "/imu/data"})
+        np.testing.assert_array_equal(mapped.fixes["orientation"].values, [[1, 0, 0, 0], [0, 0, 0, 1]])
+
+    @pytest.mark.parametrize(
+        ("channels", "says"),
+        [
+            ((fixes("sun", [1.0], [[0, 0, 1]]),), r"no IMU; found /sun \(sun\)"),
+            ((half(imu(), "gyro"),), "no accelerometer beside /imu/gyro"),
+            ((half(imu(), "accel"),), "no gyro beside /imu/accel"),
+            ((), "no IMU; found no channel"),
+        ],
+    )
+    def test_without_an_imu_the_log_is_refused(self, channels: tuple[Channel, ...], says: str) -> None:
+        with pytest.raises(AttestError, match=says):
+            log_of(*channels)
+
+
+class TestFiles:
+    def test_parts_of_one_drive_are_joined_in_any_order(self) -> None:
+        whole = imu(1000)
+        parts = [
+            recording(Channel("imu", "columns", "imu", whole.stamps_ns[rows], {k: v[rows] for k, v in whole.values.items()}, UNITS), name=name)
+            for name, rows in (("b.csv", slice(500, None)), ("a.csv", slice(0, 500)))
+        ]
+        log = prepare(parts, Settings())
+        np.testing.assert_array_equal(log.stamps_ns, whole.stamps_ns)
+        np.testing.assert_array_equal(log.imu.accel_b[:, 2], whole.values["accel_z"])
+        assert log.warnings == ()
+
+    def test_sensors_in_files_of_their_own_are_one_log(self) -> None:
+        log = prepare([recording(imu()), recording(fixes("sun", [1.0, 2.0], [[0, 0.6, 0.8], [0, 0.8, 0.6]]), name="sun.csv")], Settings())
+        assert log.fixes["sun"].t.tolist() == [1.0, 2.0]
+        assert log.sources == (Path("log.csv"), Path("sun.csv"))
+
+    def test_two_imus_that_overlap_are_never_mixed(self) -> None:
+        log = prepare([recording(imu(name="imu"), name="left.csv"), recording(imu(name="imu", seed=2), name="right.csv")], Settings())
+        assert log.imu.t.size == 1000
+        assert codes(log) == ["several-channels"]
+        chosen = prepare([recording(imu(name="imu"), name="left.csv"), recording(imu(name="imu", seed=2), name="right.csv")], Settings.model_validate({"imu": {"channel": "right:imu"}}))  # fmt: skip
+        np.testing.assert_array_equal(chosen.imu.gyro_b[:, 0], imu(seed=2).values["gyro_x"])
+
+
+class TestHalves:
+    def test_the_accelerometer_is_interpolated_onto_the_gyro(self) -> None:
+        whole = imu()
+        stamps_ns = whole.stamps_ns + 3_000_000
+        ramp = np.linspace(9.0, 10.0, 1000)
+        log = log_of(half(whole, "gyro"), half(whole, "accel", stamps_ns, accel_z=ramp))
+        assert log.imu.t.size == 999  # the first gyro row is before the accelerometer
+        np.testing.assert_array_equal(log.stamps_ns, whole.stamps_ns[1:])
+        np.testing.assert_allclose(log.imu.accel_b[:, 2], np.interp(whole.stamps_ns[1:], stamps_ns, ramp))
+        assert log.warnings == ()
+        assert log.coverage["rows_dropped"] == 1
+
+    def test_nothing_is_interpolated_across_a_hole(self) -> None:
+        whole = imu()
+        keep = np.r_[0:300, 500:1000]
+        accel = half(whole, "accel", whole.stamps_ns[keep], **{k: whole.values[k][keep] for k in COLUMNS["accel"]})
+        log = log_of(half(whole, "gyro"), accel)
+        assert codes(log) == ["imu-half-missing", "imu-gap"]
+        assert log.imu.t.size == 800
+        np.testing.assert_allclose(log.gaps, [[2.99, 5.0]])
+
+    def test_halves_on_different_clocks_are_refused(self) -> None:
+        whole = imu()
+        with pytest.raises(AttestError, match="do not overlap"):
+            log_of(half(whole, "gyro"), half(whole, "accel", whole.stamps_ns - T0))
+
+
+class TestRows:
+    def test_rows_that_are_not_finite_are_dropped_and_counted_by_column(self) -> None:
+        channel = imu()
+        channel.values["gyro_x"][[3, 4]] = np.nan
+        channel.values["accel_z"][[4, 9]] = np.inf
+        log = log_of(channel)
+        assert log.coverage["rows_used"] == 997
+        (warning,) = log.warnings
+        assert warning.code == "imu-not-finite"
+        assert "3 of 1000" in warning.message
+        assert "gyro_x 2, accel_z 2" in warning.message
+
+    def test_an_empty_column_is_refused(self) -> None:
+        channel = imu()
+        channel.values["gyro_z"][:] = np.nan
+        with pytest.raises(AttestError, match="column gyro_z of /imu/data is empty"):
+            log_of(channel)
+
+    @pytest.mark.parametrize(("n", "step_ns"), [(49, 100_000_000), (150, 10_000_000), (1, 1), (0, 1)])
+    def test_too_little_is_refused_with_the_minimum(self, n: int, step_ns: int) -> None:
+        channel = imu(n)
+        short = Channel("imu", "columns", "imu", T0 + np.arange(n) * step_ns, channel.values, UNITS)
+        with pytest.raises(AttestError) as refused:
+            log_of(short)
+        if n:
+            assert f"only {n} usable IMU rows" in refused.value.message
+            assert "at least 50 rows and 2 s" in refused.value.hint
+
+    def test_swapped_and_repeated_rows_equal_the_clean_log(self) -> None:
+        clean = imu()
+        rows = np.sort(np.r_[np.arange(1000), 17, 17, 400])
+        rows[[0, 1]] = rows[[1, 0]]  # the very first rows too
+        rows[[600, 601]] = rows[[601, 600]]
+        log = log_of(Channel(clean.name, clean.kind, "imu", clean.stamps_ns[rows], {k: v[rows] for k, v in clean.values.items()}, UNITS))
+        expected = log_of(clean)
+        assert log.t0_ns == expected.t0_ns
+        np.testing.assert_array_equal(log.stamps_ns, expected.stamps_ns)
+        np.testing.assert_array_equal(log.imu.gyro_b, expected.imu.gyro_b)
+        assert codes(log) == ["rows-out-of-order", "duplicate-rows"]
+
+    def test_a_step_back_names_the_file_and_the_window_is_a_way_out(self) -> None:
+        channel = imu()
+        channel.stamps_ns[700:] -= 2_000_000_000
+        with pytest.raises(AttestError, match=r"log\.csv: /imu/data: the clock steps back by 1\.990 s at 6\.990 s"):
+            log_of(channel)
+        assert log_of(channel, time={"end_s": 6.99}).imu.t[-1] == pytest.approx(6.99)
+
+    def test_a_gap_is_listed_with_start_and_length_and_is_not_used_time(self) -> None:
+        channel = imu()
+        channel.stamps_ns[400:] += 3_600_000_000_000
+        log = log_of(channel)
+        np.testing.assert_allclose(log.gaps, [[3.99, 3604.0]])
+        assert codes(log) == ["imu-gap"]
+        assert "3600.01 s from 3.99 s" in log.warnings[0].message
+        assert log.coverage["seconds_used"] == pytest.approx(9.98)
+        assert log.imu.t.size == 1000  # nothing is filled in
+
+
+class TestWindowAndAxes:
+    def test_a_window_keeps_the_time_of_the_log(self) -> None:
+        log = log_of(imu(), time={"start_s": 2.0, "end_s": 7.0})
+        assert log.t0_ns == T0
+        assert (log.imu.t[0], log.imu.t[-1]) == (2.0, 7.0)
+        assert log.coverage["rows_in"] == 501
+        assert log.coverage["rows_dropped"] == 0
+
+    def test_fixes_outside_a_window_are_no_loss(self) -> None:
+        sun = fixes("sun", np.arange(10.0), np.random.default_rng(3).normal(size=(10, 3)))
+        log = log_of(imu(), sun, time={"start_s": 2.0, "end_s": 7.0})
+        assert log.fixes["sun"].t.tolist() == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+        assert log.warnings == ()
+
+    def test_a_window_beyond_the_log_is_refused(self) -> None:
+        with pytest.raises(AttestError, match="only 0 usable IMU rows"):
+            log_of(imu(), time={"start_s": 100.0})
+
+    def test_the_mounting_turns_imu_and_magnetometer_into_the_body(self) -> None:
+        half_turn = np.sqrt(0.5)
+        mag = fixes("magnetometer", [1.0], [[2e-5, 0, 0]], dict.fromkeys(COLUMNS["magnetometer"], "T"))
+        log = log_of(imu(), mag, imu={"mounting": [half_turn, half_turn, 0, 0]})  # 90 degrees about x: y -> z, z -> -y
+        plain = log_of(imu())
+        np.testing.assert_allclose(log.imu.accel_b[:, 1], -plain.imu.accel_b[:, 2], atol=1e-12)
+        np.testing.assert_allclose(log.imu.gyro_b[:, 2], plain.imu.gyro_b[:, 1], atol=1e-12)
+        np.testing.assert_allclose(log.fixes["magnetometer"].values, [[2e-5, 0, 0]])
+
+
+class TestFixes:
+    def test_sun_vectors_are_unit_and_zero_is_no_measurement(self) -> None:
+        log = log_of(imu(), fixes("sun", [1, 2, 3, 4], [[0, 3, 4], [0, 0, 0], [1, 1, np.nan], [2, 0, 0]]))
+        np.testing.assert_allclose(log.fixes["sun"].values, [[0, 0.6, 0.8], [1, 0, 0]])
+        (warning,) = log.warnings
+        assert warning.code == "sun-dropped"
+        assert "2 of 4" in warning.message
+
+    def test_a_two_dimensional_sun_sensor_keeps_its_components(self) -> None:
+        plane = log_of(imu(), fixes("sun", [1, 2], [[0.1, -0.7], [0.2, 0.3]])).fixes["sun"].values
+        np.testing.assert_array_equal(plane, [[0.1, -0.7], [0.2, 0.3]])
+        cut = log_of(imu(), fixes("sun", [1], [[0, 3, 4]]), sun={"components": 2}).fixes["sun"].values
+        np.testing.assert_allclose(cut, [[0, 0.6]])
+
+    def test_each_role_comes_in_the_units_of_fixes(self) -> None:
+        log = log_of(
+            imu(),
+            fixes("compass", [1, 2], [[90.0], [271.0]], {"compass_deg": "deg"}),
+            fixes("gps", [1], [[46.5, 6.6, 400.0]], {"latitude": "deg", "longitude": "deg", "altitude": "m"}),
+            fixes("position", [1], [[1.0, 2.0, 3.0]], dict.fromkeys(COLUMNS["position"], "m")),
+            Channel("/odom", "columns", "odometry", T0 + np.array([10**9]), {"speed": np.array([3.6])}, {"speed": "km/h"}),
+            fixes("temperature", [1], [[294.15]], {"temperature_c": "K"}),
+        )
+        np.testing.assert_allclose(log.fixes["compass"].values[:, 0], np.radians([90.0, 271.0]))
+        np.testing.assert_allclose(log.fixes["gps"].values, [[np.radians(46.5), np.radians(6.6), 400.0]])
+        np.testing.assert_allclose(log.fixes["odometry"].values, [[1.0, np.nan, np.nan]])
+        np.testing.assert_allclose(log.fixes["temperature"].values, [[21.0]])
+        assert log.fixes["position"].values.tolist() == [[1.0, 2.0, 3.0]]
+        assert log.warnings == ()
+
+    def test_a_heading_without_a_unit_below_two_pi_is_in_radians_and_said(self) -> None:
+        log = log_of(imu(), fixes("compass", [1, 2, 3], [[0.1], [3.0], [6.2]]))
+        np.testing.assert_array_equal(log.fixes["compass"].values[:, 0], [0.1, 3.0, 6.2])
+        assert codes(log) == ["unit-guessed"]
+
+    def test_exact_repeats_in_long_runs_are_dropped_and_counted(self) -> None:
+        values = np.random.default_rng(4).normal(size=(9, 3))
+        values[1:3] = values[0]  # three in a row: allowed
+        values[5:9] = values[4]  # five in a row: four repeats
+        log = log_of(imu(), fixes("sun", np.arange(9.0), values))
+        assert log.fixes["sun"].t.tolist() == [0, 1, 2, 3, 4]
+        assert codes(log) == ["stale-repeats"]
+        assert "4 of 9" in log.warnings[0].message
+        assert "5 in a row" in log.warnings[0].message
+
+    def test_fixes_outside_the_imu_are_counted_and_those_just_outside_are_not(self) -> None:
+        values = np.random.default_rng(5).normal(size=(6, 3))
+        near = log_of(imu(), fixes("sun", [-0.3, 1, 2, 3, 4, 10.2], values))
+        assert near.fixes["sun"].t.tolist() == [1, 2, 3, 4]
+        assert near.warnings == ()
+        far = log_of(imu(), fixes("sun", [-5, 1, 2, 3, 4, 20], values))
+        assert codes(far) == ["outside-imu-span"]
+        assert "2 of 6" in far.warnings[0].message
+
+    def test_a_sensor_on_another_clock_is_left_out_with_both_spans(self) -> None:
+        log = log_of(imu(), fixes("sun", [1e6, 1e6 + 5], [[0, 0.6, 0.8], [0, 0.8, 0.6]]))
+        assert log.fixes == {}
+        (warning,) = log.warnings
+        assert warning.code == "no-overlap"
+        assert "1000000.0 to 1000005.0 s" in warning.message
+        assert "0 to 10.0 s" in warning.message
+        assert "--time log" in warning.hint
+
+    def test_sigmas_that_the_log_states_are_kept(self) -> None:
+        values = {"latitude": np.array([46.5]), "longitude": np.array([6.6]), "gps_sigma_m": np.array([2.0])}
+        log = log_of(imu(), Channel("/fix", "columns", "gps", T0 + np.array([10**9]), values, {"latitude": "deg", "longitude": "deg"}))
+        assert log.fixes["gps"].sigma is not None
+        np.testing.assert_array_equal(log.fixes["gps"].sigma, [[2.0, 2.0, 2.0]])
+        assert np.isnan(log.fixes["gps"].values[0, 2])
+
+
+def test_warnings_of_the_readers_come_first() -> None:
+    from attest_cli.records import Warn
+
+    told = Recording(Path("log.csv"), "csv", (imu(),), 1000, {}, (Warn("text-cells", "one"),))
+    assert codes(prepare([told], Settings())) == ["text-cells"]
