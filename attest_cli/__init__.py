@@ -7,7 +7,8 @@ Frames
     ``R_nb``, ``q_nb`` take body to navigation: ``v_n = R_nb @ v_b``; inner letters cancel.
     Vectors carry their frame last: ``gyro_b``, ``accel_b``, ``position_n``.
 Quaternion
-    Hamilton, active, unit, ``(w, x, y, z)``, continuous in sign along a track. In files the order is in the column names.
+    Hamilton, active, unit, ``(w, x, y, z)``, continuous in sign along a track. In files the order is in the column
+    names.
 Error state
     ``R_nb = R_nb_hat @ Exp(dtheta_b)``, ``dbias = bias_true - bias_hat``, order ``[dtheta_b, dbias]``.
 Sensors

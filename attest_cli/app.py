@@ -290,7 +290,13 @@ def simulate(
     unknown = sorted(set(named) - set(_SENSORS))
     if unknown:
         raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(_SENSORS)}", param_hint="--sensors")
-    options = {"seed": seed, "duration_s": duration, "rate_hz": rate, "scenario": noise, "variant": variant}
+    options: dict[str, object] = {
+        "seed": seed,
+        "duration_s": duration,
+        "rate_hz": rate,
+        "scenario": noise,
+        "variant": variant,
+    }
     options |= {"motion_s": motion, **{name: name in named for name in _SENSORS}}
     console = Console(json=json, verbose=verbose, quiet=quiet)
     return command.run(scenario, output or Path(scenario), options, console, overwrite=overwrite)

@@ -11,7 +11,7 @@ import numpy as np
 from .maths import rotation
 from .nodes.noise import Noise, stop_ranges
 from .position import Position
-from .records import Array, FilterRun, Log, Segment, Segmentation, Smoothed
+from .records import Array, Bools, FilterRun, Log, Segment, Segmentation, Smoothed
 from .track import world_variance
 
 LATE_S = 1.0  # a threshold passed sooner was passed from the start
@@ -35,17 +35,21 @@ class Pass:
 
     def sigma_n(self) -> Array:
         """Return the attitude sigmas (n, 3) about world axes, rad."""
-        return np.sqrt(np.einsum("kii->ki", world_variance(self.q, self.P)))
+        return np.asarray(np.sqrt(np.einsum("kii->ki", world_variance(self.q, self.P))))
 
 
 def separation(forward: Pass, backward: Pass) -> tuple[Array, Array]:
-    """Return forward minus backward attitude (n, 3) about world axes, rad, and its predicted sigma ``sqrt(Pf + Pb)``."""
+    """Return forward minus backward attitude (n, 3) about world axes, rad, and its predicted sigma ``sqrt(Pf +
+    Pb)``.
+    """
     apart_b = rotation.log_quaternion(rotation.multiply(rotation.conjugate(backward.q), forward.q))
     apart_n = np.einsum("kij,kj->ki", rotation.matrix(backward.q), apart_b)
     return apart_n, np.hypot(forward.sigma_n(), backward.sigma_n())
 
 
-def segment_checks(t: Array, forward: Pass, backward: Pass, segmentation: Segmentation) -> dict[int, tuple[float, Array]]:
+def segment_checks(
+    t: Array, forward: Pass, backward: Pass, segmentation: Segmentation
+) -> dict[int, tuple[float, Array]]:
     """Return, per motion, the time where both passes are equally sure and the separation there in sigmas (3,)."""
     apart, sigma = separation(forward, backward)
     f, b = (np.sum(p.sigma_n() ** 2, axis=1) for p in (forward, backward))
@@ -95,7 +99,12 @@ def segment_table(
 
 
 def _motion_columns(
-    s: Segment, checks: Mapping[int, tuple[float, Array]], t: Array, sigma: Array, position: Position | None, threshold_deg: float
+    s: Segment,
+    checks: Mapping[int, tuple[float, Array]],
+    t: Array,
+    sigma: Array,
+    position: Position | None,
+    threshold_deg: float,
 ) -> dict[str, Any]:
     over = np.flatnonzero((t >= s.start) & (t <= s.end) & (sigma.max(axis=1) > threshold_deg))
     when, apart = checks.get(s.index, (None, np.full(3, np.nan)))
@@ -148,7 +157,8 @@ def drive_sigma(P: Array, n_r: float, n_w: float, t: Array) -> Array:
 
 
 def longest_drive(run: FilterRun, segmentation: Segmentation, noise: Noise, threshold: float) -> float | None:
-    """Return the longest drive, s, whose smoothed middle stays below ``threshold``, rad, between stops as good as this log's.
+    """Return the longest drive, s, whose smoothed middle stays below ``threshold``, rad, between stops as good as
+    this log's.
 
     Half-way both passes are equally sure, so the smoothed variance is half the forward one at half the time.
     """
@@ -164,7 +174,9 @@ def longest_drive(run: FilterRun, segmentation: Segmentation, noise: Noise, thre
 def stop_advice(
     run: FilterRun, smoothed: Smoothed, segmentation: Segmentation, noise: Noise, threshold_deg: float
 ) -> dict[str, Any]:
-    """Return where the rover should have stopped (the paper's flow chart): which axis, which motions, how long a drive may be."""
+    """Return where the rover should have stopped (the paper's flow chart): which axis, which motions, how long a
+    drive may be.
+    """
     forward = Pass(run.q, run.bias, run.chain.P).sigma_n()
     sigma = np.degrees(forward)
     moving = run.moving
@@ -184,11 +196,13 @@ def stop_advice(
         "lines": lines,
         "share_over": float(_share(run.t, over) / max(_share(run.t, moving), 1e-9)),
         "longest_s": longest,
-        "smoothed_below": bool(np.all(np.degrees(Pass(smoothed.q, smoothed.bias, smoothed.P).sigma_n()) <= threshold_deg)),
+        "smoothed_below": bool(
+            np.all(np.degrees(Pass(smoothed.q, smoothed.bias, smoothed.P).sigma_n()) <= threshold_deg)
+        ),
     }
 
 
-def _share(t: Array, where: Array) -> float:
+def _share(t: Array, where: Bools) -> float:
     return float(np.sum(np.diff(t) * (where[1:] & where[:-1]))) if len(t) > 1 else 0.0
 
 

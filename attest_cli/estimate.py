@@ -18,7 +18,7 @@ from .nodes import Nodes, build_nodes
 from .nodes.noise import Noise, find_noise
 from .nodes.observations import observe
 from .position import Position
-from .records import Array, FilterRun, Log, Segmentation, Smoothed, Warn, World
+from .records import FilterRun, Log, Segmentation, Smoothed, Warn, World
 from .settings import Settings
 from .smoothers import SMOOTHERS, gauss_newton
 from .track import Attitude
@@ -47,7 +47,9 @@ class Estimate:
 
 
 def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
-    """Run the forward filter and the smoother over a log: nodes, alignment, forward, backward, Gauss-Newton where it pays."""
+    """Run the forward filter and the smoother over a log: nodes, alignment, forward, backward, Gauss-Newton where it
+    pays.
+    """
     world, noise = find_world(log, settings), find_noise(log, segmentation, settings)
     observations, warnings = observe(log, segmentation, world, noise, settings)
     nodes = build_nodes(log, segmentation, observations, noise, settings)
@@ -60,7 +62,9 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
 
 
 def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Settings) -> Smoothed:
-    """Smooth a forward run; then Gauss-Newton passes where asked for, or (auto) where a linearisation may have been poor."""
+    """Smooth a forward run; then Gauss-Newton passes where asked for, or (auto) where a linearisation may have been
+    poor.
+    """
     cfg = settings.smoothing
     smoothed = SMOOTHERS[cfg.smoother](forward)
     if cfg.smoother not in {"two-filter", "rts"}:
@@ -71,7 +75,9 @@ def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Setting
     if passes == 0:
         return smoothed
     again = nodes.rebuild(smoothed.bias)
-    return gauss_newton.refine(again, start, smoothed, forward.innovations, passes, cfg.gate_probability, fixed=cfg.iterations != "auto")
+    return gauss_newton.refine(
+        again, start, smoothed, forward.innovations, passes, cfg.gate_probability, fixed=cfg.iterations != "auto"
+    )
 
 
 def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
@@ -83,50 +89,65 @@ def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
     return ()
 
 
-def locate(log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings) -> tuple[Position | None, Mounting | None, list[Warn]]:
+def locate(
+    log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings
+) -> tuple[Position | None, Mounting | None, list[Warn]]:
     """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position."""
     odometry, mode = log.fixes.get("odometry"), settings.smoothing.position
-    warnings: list[Warn] = []
-    seat = None
-    if odometry is not None and settings.imu.mounting == "auto":
-        seat = mounting.find_mounting(log.imu, attitude.q, segmentation, odometry, est.world.gravity)
-        if seat is not None and mounting.axes_agree(seat.q_bv):
-            seat = Mounting(IDENTITY, seat.sigma_deg, seat.lag, "IMU and vehicle axes agree")
-    if mode == "none":
-        return None, seat, warnings
+    seat = _seat(log, segmentation, est, attitude, settings)
+    told: list[Warn] = []
     if mode == "odometry" and odometry is None:
-        raise AttestError(f"{log.sources[0].name}: position from odometry, but the log has none", "use --position auto")
+        raise AttestError(f"{log.sources[0].name}: no odometry for the position", "use --position auto")
     if odometry is not None and mode in {"auto", "odometry"}:
-        if seat is None and not _upright(segmentation, log):
-            warnings.append(
-                Warn("odometry-not-used", "odometry not used: the drive does not show how the IMU sits in the vehicle",
-                     "give [imu] mounting")
-            )  # fmt: skip
-        else:
-            lag = seat.lag if seat else 0.0
-            shifted = type(odometry)(odometry.role, odometry.channel, odometry.t - lag, odometry.values, odometry.sigma)
+        if seat is not None or settings.imu.mounting != "auto" or _upright(segmentation, log):
+            lag, q_bv = (seat.lag, seat.q_bv) if seat else (0.0, IDENTITY)
             if lag:
-                warnings.append(Warn("odometry-late", f"odometry stamps are {abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the IMU: corrected"))
-            q_bv = seat.q_bv if seat else IDENTITY
-            return position.odometry_position(log.imu, attitude.q, q_bv, est.smoothed, segmentation, shifted, settings), seat, warnings
-    if not segmentation.stops:
-        return None, seat, warnings
-    literal = mode == "literal"
+                told.append(
+                    Warn("odometry-late", f"odometry is {abs(lag):.2f} s {_late(lag)} against the IMU: corrected")
+                )
+            on_time = replace(odometry, t=odometry.t - lag)
+            found = position.odometry_position(log.imu, attitude.q, q_bv, est.smoothed, segmentation, on_time, settings)
+            return found, seat, told
+        told.append(
+            Warn("odometry-not-used", "odometry not used: the drive does not show how the IMU sits in the vehicle",
+                 "give [imu] mounting")
+        )  # fmt: skip
+    if mode == "none" or not segmentation.stops:
+        return None, seat, told
     found = position.inertial_position(
-        log.imu, attitude.q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity, literal
-    )
-    return found, seat, warnings
+        log.imu, attitude.q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity,
+        literal=mode == "literal",
+    )  # fmt: skip
+    return found, seat, told
+
+
+def _late(lag: float) -> str:
+    return "late" if lag > 0 else "early"
+
+
+def _seat(
+    log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings
+) -> Mounting | None:
+    """Return how the IMU sits in the vehicle, None where the settings or the drive do not tell."""
+    if "odometry" not in log.fixes or settings.imu.mounting != "auto":
+        return None
+    seat = mounting.find_mounting(log.imu, attitude.q, segmentation, log.fixes["odometry"], est.world.gravity)
+    if seat is not None and mounting.axes_agree(seat.q_bv):
+        return replace(seat, q_bv=IDENTITY, how="IMU and vehicle axes agree")
+    return seat
 
 
 def _upright(segmentation: Segmentation, log: Log) -> bool:
-    """Return whether gravity at the stops lies along the IMU's z axis, within 30 deg: then its x axis is taken as forward."""
+    """Return whether gravity at the stops lies along the IMU's z axis: then its x axis is taken as forward."""
     if not segmentation.stops:
         return False
     up = np.mean([log.imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
-    return bool(up[2] > np.cos(np.radians(30.0)) * np.linalg.norm(up))
+    return bool(up[2] > np.cos(np.radians(UPRIGHT_DEG)) * np.linalg.norm(up))
 
 
-def body_axes(seat: Mounting | None, settings: Settings) -> tuple[np.ndarray[Any, np.dtype[np.float64]], dict[str, Any]]:
+def body_axes(
+    seat: Mounting | None, settings: Settings
+) -> tuple[np.ndarray[Any, np.dtype[np.float64]], dict[str, Any]]:
     """Return the turn from the track's body axes to the IMU's, and how the report tells it (``q_body_sensor``)."""
     given = settings.imu.mounting
     if given != "auto":

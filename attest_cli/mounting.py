@@ -1,4 +1,6 @@
-"""How the IMU sits in the vehicle, from the drive itself: smoothed attitude, specific force and wheel speed must agree."""
+"""How the IMU sits in the vehicle, from the drive itself: smoothed attitude, specific force and wheel speed must
+agree.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,9 @@ NEAR_DEG = 10.0  # axes that agree to this are taken as equal
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """``q_bv`` (4,) vehicle (FLU) to IMU axes, sigma of the forward axis, ``lag`` s that odometry stamps are late, and how it
-    was found."""
+    """``q_bv`` (4,) vehicle (FLU) to IMU axes, sigma of the forward axis, ``lag`` s that odometry stamps are late,
+    and how it was found.
+    """
 
     q_bv: Array
     sigma_deg: float
@@ -78,7 +81,9 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
         return None
     left /= np.linalg.norm(left)
     R_bv = np.column_stack([forward, left, np.cross(forward, left)])
-    return Mounting(rotation.from_matrix(R_bv), float(np.degrees(sigma / size)), lag, "gravity at stops and wheel speed")
+    return Mounting(
+        rotation.from_matrix(R_bv), float(np.degrees(sigma / size)), lag, "gravity at stops and wheel speed"
+    )
 
 
 def _windows(imu: Imu, segmentation: Segmentation) -> tuple[Ints, Ints]:
@@ -93,7 +98,9 @@ def _windows(imu: Imu, segmentation: Segmentation) -> tuple[Ints, Ints]:
 
 
 def _high_pass(values: Array, owner: Ints) -> Array:
-    """Take away the mean of the windows around (k, ...), motion by motion: what a slowly wrong tilt makes of gravity."""
+    """Take away the mean of the windows around (k, ...), motion by motion: what a slowly wrong tilt makes of
+    gravity.
+    """
     out = np.empty_like(values)
     for index in np.unique(owner):
         mine = np.flatnonzero(owner == index)
@@ -116,7 +123,7 @@ def _fit(
     normal = A.T @ A
     if np.linalg.cond(normal) > 1e12:
         return np.zeros(3), np.inf, np.inf
-    u = np.linalg.solve(normal, A.T @ wanted)
+    u = np.asarray(np.linalg.solve(normal, A.T @ wanted), dtype=np.float64)
     misfit = float(np.sum((A @ u - wanted) ** 2))
     covariance = np.linalg.inv(normal) * misfit / max(len(wanted) - 3, 1)
     return u, misfit, float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

@@ -64,8 +64,9 @@ def smooth(
 
 
 def _assemble(
-    paths: Sequence[Path], recordings: tuple[Recording, ...], log: Log, effective: Effective, segmentation: Segmentation,
-    est: Estimate, attitude: Attitude, place: Position | None, seat: Mounting | None, warnings: Sequence[Warn],
+    paths: Sequence[Path], recordings: tuple[Recording, ...], log: Log, effective: Effective,
+    segmentation: Segmentation, est: Estimate, attitude: Attitude, place: Position | None, seat: Mounting | None,
+    warnings: Sequence[Warn],
 ) -> tuple[Run, tables.Columns]:  # fmt: skip
     """Bring everything into body axes, judge it, and make the columns of the track."""
     settings = effective.settings
@@ -105,7 +106,11 @@ def _write(folder: Path, run: Run, columns: tables.Columns, settings: Settings, 
     relative = run.forward.heading == "relative"
     nodes = tables.pass_columns(run.log, t, run.passes, run.position, run.segmentation, relative)
     write_table(nodes, folder / "passes.parquet", metadata)
-    write_table(tables.innovation_columns(run.forward.innovations, t, run.segmentation), folder / "innovations.parquet", metadata)
+    write_table(
+        tables.innovation_columns(run.forward.innovations, t, run.segmentation),
+        folder / "innovations.parquet",
+        metadata,
+    )
     write_csv_rows(_padded(run.segments), folder / "segments.csv")
     _write_report(folder, report)
     progress("drawing", 0.8)
@@ -141,7 +146,9 @@ def _write_report(folder: Path, report: Mapping[str, Any]) -> dict[str, Any]:
     """Write the report, checked against its model (and so its schema); what is not a number becomes null."""
     checked = Report.model_validate(report).model_dump(mode="json")
     with atomic_write(folder / "report.json") as temporary:
-        temporary.write_text(json.dumps(checked, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(checked, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
     return checked
 
 
@@ -178,7 +185,12 @@ def segments(
 
 
 def _draw_detector(
-    log: Log, found: Segmentation, rows: list[dict[str, Any]], detector: Mapping[str, Any], effective: Effective, output: Path
+    log: Log,
+    found: Segmentation,
+    rows: list[dict[str, Any]],
+    detector: Mapping[str, Any],
+    effective: Effective,
+    output: Path,
 ) -> None:
     """Draw the page of the stop detector alone."""
     from .figures.stops import draw
@@ -187,8 +199,8 @@ def _draw_detector(
     span = float(log.imu.t[-1] - log.imu.t[0])
     report = {
         "attest_version": __version__, "settings": effective.table(), "gaps": log.gaps.tolist(),
-        "input": {"files": [{"name": p.name, "sha256": ""} for p in log.sources], "duration_s": span, "samples": len(log.imu.t)},
-        "methods": {}, "statistics": {"detector": dict(detector), "stops": len(found.stops), "motions": len(found.motions)},
+        "input": {"files": [{"name": p.name} for p in log.sources], "duration_s": span, "samples": len(log.imu.t)},
+        "statistics": {"detector": dict(detector), "stops": len(found.stops), "motions": len(found.motions)},
     }  # fmt: skip
     passes = {"t_s": t, "stop_statistic": np.interp(t, log.imu.t, found.statistic)}
     page = draw(Result(output.parent, report, passes, {}, tuple(rows)), effective.settings.output.theme)
@@ -207,17 +219,17 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
     counts: dict[str, int] = {}
     for o in observations:
         counts[o.role] = counts.get(o.role, 0) + 1
-    used = {f.channel: role for role, f in log.fixes.items()}
+    used, cfg = {f.channel: role for role, f in log.fixes.items()}, settings.smoothing
     return {
-        "log": {"files": ", ".join(p.name for p in paths), "duration_s": round(float(log.imu.t[-1]), 3), "samples": len(log.imu.t)},
+        "log": {"files": [p.name for p in paths], "duration_s": float(log.imu.t[-1]), "samples": len(log.imu.t)},
         "channels": [
-            {"name": c.name, "type": c.kind, "rows": len(c.stamps_ns), "used as": used.get(c.name, c.role or "not used")}
+            {"name": c.name, "type": c.kind, "rows": len(c.stamps_ns), "used as": used.get(c.name, c.role or "nothing")}
             for r in recordings for c in r.channels
         ],
         "segments": {"stops": len(found.stops), "motions": len(found.motions), "found by": found.source},
         "measurements": counts,
         "frame": {"world": settings.world.frame, "body": settings.body.axes},
-        "methods": {"filter": "indirect", "smoother": settings.smoothing.smoother, "position": settings.smoothing.position},
+        "methods": {"filter": "indirect", "smoother": cfg.smoother, "position": cfg.position},
         "warnings": [w.message for w in (*log.warnings, *found.warnings, *warnings)],
     }  # fmt: skip
 

@@ -1,8 +1,9 @@
-r"""Position from the smoothed attitude: inertial between stops, or wheel odometry; with the sigma that the attitude leaves.
+r"""Position from the smoothed attitude: inertial between stops, or wheel odometry; with the sigma that the attitude
+leaves.
 
 The smoothed attitude error is a Gauss-Markov chain over the nodes: with the lag-one covariance of the smoother,
-:math:`\delta_{k+1}=F_k\delta_k+\eta_k`, :math:`F_k=\mathrm{Cov}(\delta_{k+1},\delta_k)P_k^{-1}`. Position and velocity are
-linear in it, so their covariance follows exactly by adding them to the state.
+:math:`\delta_{k+1}=F_k\delta_k+\eta_k`, :math:`F_k=\mathrm{Cov}(\delta_{k+1},\delta_k)P_k^{-1}`. Position and
+velocity are linear in it, so their covariance follows exactly by adding them to the state.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from .maths import rotation
 from .maths.kalman import symmetric
 from .nodes import Nodes
-from .records import Array, Fixes, Imu, Segmentation, Smoothed
+from .records import Array, Fixes, Imu, Segment, Segmentation, Smoothed
 from .settings import Settings
 
 ODOMETRY_CORRELATION_S = 1.0  # wheel slip lasts about this long
@@ -26,7 +27,8 @@ UNUSABLE_SHARE = 0.1  # of the distance: a position worse than this is not worth
 @dataclass(frozen=True, slots=True)
 class Position:
     """``p``, ``v`` (n, 3) at the IMU samples, m and m/s; ``P`` (nodes, 3, 3) m^2; per motion (by segment index) closing
-    velocity m/s and distance m; ``usable``: sigma stays below 10 % of the distance. NaN where nothing is known."""
+    velocity m/s and distance m; ``usable``: sigma stays below 10 % of the distance. NaN where nothing is known.
+    """
 
     p: Array
     v: Array
@@ -53,7 +55,7 @@ def markov(smoothed: Smoothed) -> Markov:
     T[:, :3, :3] = rotation.matrix(smoothed.q)
     P = symmetric(T @ smoothed.P @ T.swapaxes(1, 2))
     cross = T[:-1] @ smoothed.cross @ T[1:].swapaxes(1, 2)
-    F = np.linalg.solve(P[:-1], cross).swapaxes(1, 2)
+    F = np.asarray(np.linalg.solve(P[:-1], cross).swapaxes(1, 2), dtype=np.float64)
     W = symmetric(P[1:] - F @ P[:-1] @ F.swapaxes(1, 2))
     return Markov(P, F, W)
 
@@ -63,8 +65,9 @@ def odometry_position(
 ) -> Position:
     r"""Dead reckoning: :math:`\dot p_n=R_{nb}R_{bv}v_v`.
 
-    Error: :math:`\dot{\delta p}=-[v_n\times]\delta\theta_n+v_n\,\delta s+n`; ``delta s`` one scale error for the log, ``n`` slip
-    with a correlation time of a second. Sideways and vertical speed count as zero where the log does not give them.
+    Error: :math:`\dot{\delta p}=-[v_n\times]\delta\theta_n+v_n\,\delta s+n`; ``delta s`` one scale error for the log,
+    ``n`` slip with a correlation time of a second. Sideways and vertical speed count as zero where the log does not
+    give them.
 
     Parameters
     ----------
@@ -87,7 +90,10 @@ def odometry_position(
     moving = np.linalg.norm(step, axis=1) > 1e-9
     noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]
     P = _odometry_covariance(chain, step, noise, cfg.scale_sigma)
-    distance = {s.index: float(np.sum(np.linalg.norm(np.diff(p[s.first : s.last], axis=0), axis=1))) for s in segmentation.motions}
+    distance = {
+        s.index: float(np.sum(np.linalg.norm(np.diff(p[s.first : s.last], axis=0), axis=1)))
+        for s in segmentation.motions
+    }
     return Position(p, v_n, P, {}, distance, _usable(P, distance), "odometry")
 
 
@@ -114,54 +120,70 @@ def _odometry_covariance(chain: Markov, step: Array, noise: Array, scale_sigma: 
 
 
 def inertial_position(
-    imu: Imu, q: Array, nodes: Nodes, smoothed: Smoothed, segmentation: Segmentation, settings: Settings, gravity: float,
+    imu: Imu,
+    q: Array,
+    nodes: Nodes,
+    smoothed: Smoothed,
+    segmentation: Segmentation,
+    settings: Settings,
+    gravity: float,
     literal: bool = False,
 ) -> Position:
     r"""Integrate the specific force over every motion, from rest to rest.
 
-    Strapdown: :math:`a=R_{nb}f-g`, trapezoid in velocity, its integral in position; then the whole motion is conditioned on
-    the zero velocity at its end: :math:`x_k\leftarrow x_k-\Sigma_k\Lambda_k^TS^{-1}v(T)`, where
+    Strapdown: :math:`a=R_{nb}f-g`, trapezoid in velocity, its integral in position; then the whole motion is
+    conditioned on the zero velocity at its end: :math:`x_k\leftarrow x_k-\Sigma_k\Lambda_k^TS^{-1}v(T)`, where
     :math:`\mathrm{Cov}(x_k,v(T))=\Sigma_k\Lambda_k^T` follows from the error chain. ``literal``: eqs 41-44 (with their
     index corrected) and the linear removal :math:`v-\frac{t-t_0}{T}v(T)`, :math:`p-\frac{(t-t_0)^2}{2T}v(T)`.
 
     Notes
     -----
-    Errors of different motions count as independent. A motion without a stop before it, or with a gap in it, has no velocity
-    to start from: NaN there, and after a gap.
+    Errors of different motions count as independent. A motion without a stop before it, or with a gap in it, has no
+    velocity to start from: NaN there, and after a gap.
     """
-    n = len(imu.t)
-    p, v = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
-    P = np.full((len(smoothed.t), 3, 3), np.nan)
+    n, t = len(imu.t), smoothed.t
+    p, v, P = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((len(t), 3, 3), np.nan)
     closing: dict[int, float] = {}
     distance: dict[int, float] = {}
     chain = markov(smoothed)
-    here, spread, last_stop = np.zeros(3), np.zeros((3, 3)), None
-    for s in segmentation.segments:
-        if not s.motion:
-            rows, at = _inside(imu.t, s.used_start, s.used_end), _inside(smoothed.t, s.used_start, s.used_end)
-            p[rows], v[rows], P[at] = here, 0.0, spread
-            last_stop = s
+    here, spread = np.zeros(3), np.zeros((3, 3))
+    for stop, motion, following in _legs(segmentation, nodes):
+        rows, at = _inside(imu.t, stop.used_start, stop.used_end), _inside(t, stop.used_start, stop.used_end)
+        p[rows], v[rows], P[at] = here, 0.0, spread
+        if motion is None:
             continue
-        following = next((x for x in segmentation.stops if x.start >= s.end - 1e-9), None)
-        if last_stop is None:
-            continue
-        end = following.used_start if following is not None else s.end
-        rows, at = _inside(imu.t, last_stop.used_end, end), _inside(smoothed.t, last_stop.used_end, end)
-        if rows.stop - rows.start < 3 or nodes.gap[at.start : at.stop - 1].any() or abs(s.start - last_stop.end) > 1e-6:
-            break
+        end = following.used_start if following is not None else motion.end
+        rows, at = _inside(imu.t, stop.used_end, end), _inside(t, stop.used_end, end)
         leg = _leg(imu, q, rows, gravity, literal)
-        S, A = _leg_covariance(chain, leg, at, smoothed.t, nodes, settings)
-        dv, dp, C = _close(leg, S, A, smoothed.t[at], following is not None, literal)
-        t_nodes = smoothed.t[at]
-        v[rows] = leg.v + _at(imu.t[rows], t_nodes, dv)
-        p[rows] = here + leg.p + _at(imu.t[rows], t_nodes, dp)
+        S, A = _leg_covariance(chain, leg, at, t, nodes, settings)
+        dv, dp, C = _close(leg, S, A, t[at], following is not None, literal)
+        v[rows] = leg.v + _at(imu.t[rows], t[at], dv)
+        p[rows] = here + leg.p + _at(imu.t[rows], t[at], dp)
         P[at] = spread + C
-        distance[s.index] = float(np.sum(np.linalg.norm(np.diff(p[rows], axis=0), axis=1)))
+        distance[motion.index] = float(np.sum(np.linalg.norm(np.diff(p[rows], axis=0), axis=1)))
         if following is not None:
-            closing[s.index] = float(np.linalg.norm(leg.v[-1]))
+            closing[motion.index] = float(np.linalg.norm(leg.v[-1]))
         here, spread = p[rows.stop - 1].copy(), P[at.stop - 1].copy()
-        last_stop = None
     return Position(p, v, P, closing, distance, _usable(P, distance), "literal" if literal else "strapdown")
+
+
+def _legs(segmentation: Segmentation, nodes: Nodes) -> list[tuple[Segment, Segment | None, Segment | None]]:
+    """Return each stop with the motion after it and the stop that closes it, from the first stop on, up to a gap."""
+    segments = segmentation.segments
+    out: list[tuple[Segment, Segment | None, Segment | None]] = []
+    k = next((i for i, s in enumerate(segments) if not s.motion), len(segments))
+    while k < len(segments):
+        motion = segments[k + 1] if k + 1 < len(segments) else None
+        closing = segments[k + 2] if k + 2 < len(segments) else None
+        until = closing.used_start if closing is not None else motion.end if motion is not None else segments[k].end
+        inside = (nodes.t[1:] > segments[k].used_start) & (nodes.t[:-1] < until)
+        broken = bool(nodes.gap[inside].any()) or (closing is not None and closing.motion)
+        if motion is None or not motion.motion or broken:
+            out.append((segments[k], None, None))
+            break
+        out.append((segments[k], motion, closing))
+        k += 2
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +215,9 @@ def _leg(imu: Imu, q: Array, rows: slice, gravity: float, literal: bool) -> Leg:
 def _leg_covariance(
     chain: Markov, leg: Leg, at: slice, t_all: Array, nodes: Nodes, settings: Settings
 ) -> tuple[Array, Array]:
-    """Covariances (m, 15, 15) of ``[dtheta_n, dbias, dv, dp, dba]`` at the nodes of a leg and its transitions (m - 1, 15, 15)."""
+    """Covariances (m, 15, 15) of ``[dtheta_n, dbias, dv, dp, dba]`` at the nodes of a leg and its transitions (m - 1,
+    15, 15).
+    """
     t = t_all[at]
     m = len(t)
     mean_f = np.stack([_means(leg.t, leg.f_n[:, i], t) for i in range(3)], axis=1)
@@ -223,7 +247,9 @@ def _leg_covariance(
 
 
 def _close(leg: Leg, S: Array, A: Array, t: Array, closed: bool, literal: bool) -> tuple[Array, Array, Array]:
-    """Return corrections of velocity and position (m, 3) at the nodes, and the position covariance (m, 3, 3) after them."""
+    """Return corrections of velocity and position (m, 3) at the nodes, and the position covariance (m, 3, 3) after
+    them.
+    """
     m = len(t)
     if not closed:
         return np.zeros((m, 3)), np.zeros((m, 3)), S[:, 9:12, 9:12]
@@ -235,7 +261,9 @@ def _close(leg: Leg, S: Array, A: Array, t: Array, closed: bool, literal: bool) 
     end = S[-1, 6:9, 6:9] + STILL_M_S**2 * np.eye(3)
     if literal:
         share = (t - t[0]) / (t[-1] - t[0])
-        K = np.concatenate([share[:, None, None] * np.eye(3), (0.5 * share * (t - t[0]))[:, None, None] * np.eye(3)], axis=1)
+        K = np.concatenate(
+            [share[:, None, None] * np.eye(3), (0.5 * share * (t - t[0]))[:, None, None] * np.eye(3)], axis=1
+        )
     else:
         K = np.linalg.solve(end, M.swapaxes(1, 2)).swapaxes(1, 2)
     KM = K @ M.swapaxes(1, 2)

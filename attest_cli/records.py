@@ -65,10 +65,24 @@ class Channel:
     def __post_init__(self) -> None:
         for key, column in self.values.items():
             if column.shape != self.stamps_ns.shape:
-                raise AttestError(f"channel {self.name}: column {key} has {column.size} rows, the stamps {self.stamps_ns.size}")
+                raise AttestError(
+                    f"channel {self.name}: column {key} has {column.size} rows, the stamps {self.stamps_ns.size}"
+                )
 
 
-ROLES = ("imu", "gyro", "accel", "sun", "magnetometer", "compass", "orientation", "odometry", "gps", "position", "temperature")
+ROLES = (
+    "imu",
+    "gyro",
+    "accel",
+    "sun",
+    "magnetometer",
+    "compass",
+    "orientation",
+    "odometry",
+    "gps",
+    "position",
+    "temperature",
+)
 """Roles a channel can play. ``gyro`` and ``accel`` are halves of an imu on channels of their own."""
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {
@@ -101,7 +115,9 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """IMU samples: ``t`` (n,) s since ``t0_ns`` strictly increasing, ``gyro_b`` (n, 3) rad/s, ``accel_b`` (n, 3) m/s^2 specific force."""
+    """IMU samples: ``t`` (n,) s since ``t0_ns`` strictly increasing, ``gyro_b`` (n, 3) rad/s, ``accel_b`` (n, 3)
+    m/s^2 specific force.
+    """
 
     t: Array
     gyro_b: Array
@@ -110,16 +126,18 @@ class Imu:
     def __post_init__(self) -> None:
         n = self.t.shape[0]
         if self.gyro_b.shape != (n, 3) or self.accel_b.shape != (n, 3):
-            raise AttestError(f"IMU arrays disagree: t {self.t.shape}, gyro {self.gyro_b.shape}, accel {self.accel_b.shape}")
+            raise AttestError(
+                f"IMU arrays disagree: t {self.t.shape}, gyro {self.gyro_b.shape}, accel {self.accel_b.shape}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
 class Fixes:
     """Measurements of one absolute or aiding sensor, in SI.
 
-    ``values`` (m, d): sun (m, 2|3) sensor-frame direction; magnetometer (m, 3) body, tesla; compass (m, 1) rad clockwise
-    from true north; orientation (m, 4) Hamilton wxyz body to navigation; odometry (m, 3) body m/s (NaN = not measured);
-    gps (m, 3) rad, rad, m; position (m, 3) m navigation; temperature (m, 1) deg C.
+    ``values`` (m, d): sun (m, 2|3) sensor-frame direction; magnetometer (m, 3) body, tesla; compass (m, 1) rad
+    clockwise from true north; orientation (m, 4) Hamilton wxyz body to navigation; odometry (m, 3) body m/s (NaN =
+    not measured); gps (m, 3) rad, rad, m; position (m, 3) m navigation; temperature (m, 1) deg C.
     ``sigma`` (m, k) or None: standard deviations the log itself states, in the unit of the residual.
     """
 
@@ -166,8 +184,9 @@ class Segment:
 class Segmentation:
     """Segments in time order, with the detector's statistic, so that it can be drawn and judged.
 
-    ``statistic`` (n,) per IMU sample in units of sensor noise; ``enter``/``leave`` thresholds; ``bias_b`` (3,) blind gyro bias;
-    ``margin``: 5 % quantile of the statistic in motion over the enter threshold (nan without motion or stop).
+    ``statistic`` (n,) per IMU sample in units of sensor noise; ``enter``/``leave`` thresholds; ``bias_b`` (3,) blind
+    gyro bias; ``margin``: 5 % quantile of the statistic in motion over the enter threshold (nan without motion or
+    stop).
     """
 
     segments: tuple[Segment, ...]
@@ -181,10 +200,12 @@ class Segmentation:
 
     @property
     def stops(self) -> tuple[Segment, ...]:
+        """The stops, in time order."""
         return tuple(s for s in self.segments if not s.motion)
 
     @property
     def motions(self) -> tuple[Segment, ...]:
+        """The motions, in time order."""
         return tuple(s for s in self.segments if s.motion)
 
 
@@ -201,7 +222,9 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """Reference directions in navigation axes: gravity m/s^2, sun (3,) or (m, 3) per sun fix, magnetic field (3,); None = not known."""
+    """Reference directions in navigation axes: gravity m/s^2, sun (3,) or (m, 3) per sun fix, magnetic field (3,);
+    None = not known.
+    """
 
     gravity: float
     sun_n: Array | None = None
@@ -211,8 +234,9 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """One row per measurement: ``role`` (m,) str, ``t``, ``node``, ``dof``, ``nis``, ``used``, ``z`` (m, 3) innovation over its
-    predicted sigma (NaN beyond ``dof``)."""
+    """One row per measurement: ``role`` (m,) str, ``t``, ``node``, ``dof``, ``nis``, ``used``, ``z`` (m, 3)
+    innovation over its predicted sigma (NaN beyond ``dof``).
+    """
 
     role: NDArray[np.str_]
     t: Array
@@ -225,8 +249,10 @@ class Innovations:
 
 @dataclass(frozen=True, slots=True)
 class FilterRun:
-    """A forward pass over n nodes: updated estimate ``q`` (n, 4), ``bias`` (n, 3), its ``chain`` of error covariances (see
-    ``maths.kalman``), the ``increments`` it used, every innovation; ``heading``: absolute, magnetic or relative; ``start_in_motion``."""
+    """A forward pass over n nodes: updated estimate ``q`` (n, 4), ``bias`` (n, 3), its ``chain`` of error covariances
+    (see ``maths.kalman``), the ``increments`` it used, every innovation; ``heading``: absolute, magnetic or relative;
+    ``start_in_motion``.
+    """
 
     t: Array
     q: Array
@@ -241,8 +267,10 @@ class FilterRun:
 
 @dataclass(frozen=True, slots=True)
 class Smoothed:
-    """A smoothed pass over n nodes: ``q`` (n, 4), ``bias`` (n, 3), covariance ``P`` (n, 6, 6) about it, lag-one covariance
-    ``cross`` (n - 1, 6, 6), how many Gauss-Newton passes were made, and the backward ``information`` (Y, y) if it was used."""
+    """A smoothed pass over n nodes: ``q`` (n, 4), ``bias`` (n, 3), covariance ``P`` (n, 6, 6) about it, lag-one
+    covariance ``cross`` (n - 1, 6, 6), how many Gauss-Newton passes were made, and the backward ``information`` (Y,
+    y) if it was used.
+    """
 
     t: Array
     q: Array

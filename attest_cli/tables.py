@@ -68,7 +68,9 @@ def track_columns(
     sigma_b = np.sqrt(attitude.bias_variance)
     columns |= vector("sigma_att_{}_deg", _short(np.degrees(sigma)))
     columns |= vector("gyro_bias_{}_rad_s", bias) | vector("sigma_gyro_bias_{}_rad_s", _short(sigma_b))
-    columns |= vector("position_{}_m", p) | vector("sigma_position_{}_m", _short(sigma_p)) | vector("velocity_{}_m_s", v)
+    columns |= (
+        vector("position_{}_m", p) | vector("sigma_position_{}_m", _short(sigma_p)) | vector("velocity_{}_m_s", v)
+    )
     columns |= {"segment": segment, "moving": moving}
     if relative_variance is not None:
         columns["sigma_heading_relative_deg"] = np.degrees(np.sqrt(np.interp(t, nodes_t, relative_variance)))
@@ -122,14 +124,17 @@ def _position_at_nodes(log: Log, t: Array, position: Position | None) -> Columns
     nothing = np.full((len(t), 3), np.nan)
     p, v, P = nothing, nothing, np.full((len(t), 3, 3), np.nan)
     if position is not None:
-        p, v = (np.stack([np.interp(t, log.imu.t, x[:, i]) for i in range(3)], axis=1) for x in (position.p, position.v))
+        p, v = (
+            np.stack([np.interp(t, log.imu.t, x[:, i]) for i in range(3)], axis=1) for x in (position.p, position.v)
+        )
         P = position.P
     columns = vector("position_{}_m", p) | vector("sigma_position_{}_m", np.sqrt(np.einsum("kii->ki", P)))
     return columns | {"position_cov_xy_m2": P[:, 0, 1].copy()} | vector("velocity_{}_m_s", v)
 
 
 def euler_covariance(p: Pass) -> Array:
-    r"""Return the covariance (n, 3, 3) of roll, pitch, yaw, rad^2: :math:`\delta_n=[R_z R_y e_x,\ R_z e_y,\ e_z]\,\delta(\phi,\theta,\psi)`.
+    r"""Return the covariance (n, 3, 3) of roll, pitch, yaw, rad^2: :math:`\delta_n=[R_z R_y e_x,\ R_z e_y,\
+    e_z]\,\delta(\phi,\theta,\psi)`.
 
     At a pitch of 90 deg roll and yaw are one angle; the map is kept regular 0.06 deg before it.
     """

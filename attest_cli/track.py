@@ -14,8 +14,9 @@ from .records import Array, Smoothed
 
 @dataclass(frozen=True, slots=True)
 class Attitude:
-    """Per IMU sample: ``q`` (n, 4) continuous in sign, ``bias`` (n, 3) rad/s, variances about world axes (n, 3) rad^2 and of the
-    bias (n, 3)."""
+    """Per IMU sample: ``q`` (n, 4) continuous in sign, ``bias`` (n, 3) rad/s, variances about world axes (n, 3) rad^2
+    and of the bias (n, 3).
+    """
 
     q: Array
     bias: Array
@@ -30,7 +31,8 @@ def world_variance(q: Array, P: Array) -> Array:
 
 
 def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Attitude:
-    """Propagate every interval from its smoothed node with the smoothed bias and spread the defect at its far end evenly.
+    """Propagate every interval from its smoothed node with the smoothed bias and spread the defect at its far end
+    evenly.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Reference directions of the world: gravity, the sun at each fix, the magnetic field; from the settings, else from place and time."""
+"""Reference directions of the world: gravity, the sun at each fix, the magnetic field; from the settings, else from
+place and time.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +23,29 @@ def find_world(log: Log, settings: Settings) -> World:
         sun = np.array(cfg.sun_direction)
     elif "sun" in log.fixes and place:
         if cfg.body != "earth":
-            raise AttestError("the sun's place is computed for the Earth only", 'set [world] sun_direction with body = "mars"')
+            raise AttestError(
+                "the sun's place is computed for the Earth only", 'set [world] sun_direction with body = "mars"'
+            )
         sun = _sun(log, settings)
         notes.append("sun direction from place and time (NREL solar position algorithm)")
     if cfg.magnetic_field_ut is not None:
         field = np.array(cfg.magnetic_field_ut) * 1e-6
     elif "magnetometer" in log.fixes and place and cfg.body == "earth" and log.t0_ns > UNIX_EPOCH_OF_2000_NS:
         field = _field(log, settings)
-        notes.append(f"magnetic declination {np.degrees(np.arctan2(field[0], field[1])):.1f} deg (World Magnetic Model)")
+        notes.append(
+            f"magnetic declination {np.degrees(np.arctan2(field[0], field[1])):.1f} deg (World Magnetic Model)"
+        )
     return World(cfg.gravity_m_s2, sun, field, tuple(notes))
 
 
 def _sun(log: Log, settings: Settings) -> Array:
     """Return unit vectors to the sun (m, 3), ENU, at the sun fixes (pvlib's NREL SPA, 0.0003 deg)."""
     if log.t0_ns < UNIX_EPOCH_OF_2000_NS:
-        raise AttestError("the log's time is not absolute, so the sun's place is not known", "set [world] sun_direction")
-    import pandas as pd  # noqa: PLC0415 (0.8 s of start-up that only a sun sensor without a direction needs)
-    from pvlib.solarposition import get_solarposition  # noqa: PLC0415
+        raise AttestError(
+            "the log's time is not absolute, so the sun's place is not known", "set [world] sun_direction"
+        )
+    import pandas as pd
+    from pvlib.solarposition import get_solarposition
 
     cfg = settings.world
     when = pd.to_datetime(log.t0_ns + np.round(log.fixes["sun"].t * 1e9).astype(np.int64), utc=True)
@@ -50,10 +58,16 @@ def _sun(log: Log, settings: Settings) -> Array:
 
 def _field(log: Log, settings: Settings) -> Array:
     """Return the magnetic field (3,), ENU, tesla, of the World Magnetic Model."""
-    from pygeomag import GeoMag  # noqa: PLC0415
+    from pygeomag import GeoMag
 
     cfg = settings.world
     year = 1970.0 + log.t0_ns * 1e-9 / SECONDS_PER_YEAR
     model = GeoMag(high_resolution=False)
-    f = model.calculate(glat=cfg.latitude_deg, glon=cfg.longitude_deg, alt=cfg.altitude_m / 1000, time=year, allow_date_outside_lifespan=True)
+    f = model.calculate(
+        glat=cfg.latitude_deg,
+        glon=cfg.longitude_deg,
+        alt=cfg.altitude_m / 1000,
+        time=year,
+        allow_date_outside_lifespan=True,
+    )
     return np.array([f.y, f.x, -f.z]) * 1e-9

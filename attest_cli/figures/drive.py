@@ -178,16 +178,10 @@ class Drive:
         """True where a backward pass knows something."""
         return bool(np.isfinite(self.column("backward_roll_deg")).any())
 
-    @property
-    def ned(self) -> bool:
-        """True where x is north and z down."""
-        return str(self.setting("world.frame") or "enu").lower() == "ned"
-
     @cached_property
     def directions(self) -> tuple[str, str, str]:
         """What the world axes x, y, z are called."""
-        level = ("north", "east") if self.ned else ("east", "north")
-        return (*(("level", "level") if self.relative else level), "heading")
+        return (*(("level", "level") if self.relative else ("east", "north")), "heading")
 
     @cached_property
     def file_name(self) -> str:

@@ -69,9 +69,7 @@ def _table(page: Page, drive: Drive) -> None:
     found = _rows(drive)
     if not found:
         return
-    ned = drive.ned
-    names = ("x, m", "y, m", "z, m") if drive.relative else ("north, m", "east, m", "down, m") if ned else (
-        "east, m", "north, m", "up, m")  # fmt: skip
+    names = ("x, m", "y, m", "z, m") if drive.relative else ("east, m", "north, m", "up, m")
     sigmas = [p.value("sigma_position_m") for p in found]
     known = [s for s in sigmas if math.isfinite(s) and s > 0.0]
     decimals = min(sigma_decimals(min(known), 1), 3) if known else 1
@@ -95,8 +93,6 @@ def _table(page: Page, drive: Drive) -> None:
 def _height(page: Page, drive: Drive) -> None:
     """Height above the start with +-2 sigma."""
     height, sigma = drive.column("position_z_m"), drive.column("sigma_position_z_m")
-    if drive.ned:
-        height = -height
     known = np.flatnonzero(np.isfinite(height))
     if not known.size:
         return

@@ -30,9 +30,8 @@ class Plan:
 
 
 def plan_of(drive: Drive) -> Plan:
-    """The level track; with NED axes north (x) points up the page and east (y) right."""
-    first, second = ("y", "x") if drive.ned else ("x", "y")
-    names = [f"position_{first}_m", f"position_{second}_m", f"sigma_position_{first}_m", f"sigma_position_{second}_m"]
+    """The level track, east to the right and north up the page."""
+    names = ("position_x_m", "position_y_m", "sigma_position_x_m", "sigma_position_y_m")
     right, up, sigma_right, sigma_up = (drive.column(name) for name in names)
     return Plan(right, up, sigma_right, sigma_up, drive.column("position_cov_xy_m2"))
 
@@ -48,7 +47,7 @@ def axes_words(drive: Drive) -> str:
     """What the axes of the plan are."""
     if drive.relative:
         return "m, turned by an unknown heading"
-    return "NED, m" if drive.ned else "ENU, m"
+    return "ENU, m"
 
 
 def draw_plan(page: Page, drive: Drive, box: Box) -> Panel:

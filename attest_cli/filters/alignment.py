@@ -1,4 +1,6 @@
-"""Where the filter starts: level by gravity, carry the attitude along the gyro, turn to the first heading the log gives."""
+"""Where the filter starts: level by gravity, carry the attitude along the gyro, turn to the first heading the log
+gives.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ def align(nodes: Nodes, bias_sigma: float, magnetic: bool) -> Start:
     R = rotation.matrix(q0)
     P[:3, :3] = R.T @ np.diag([prior[0] ** 2, prior[0] ** 2, yaw**2]) @ R
     P[3:, 3:] = bias_sigma**2 * np.eye(3)
-    return Start(q0, nodes.increments.bias_ref[0] if len(nodes.increments.bias_ref) else np.zeros(3), P, heading, in_motion)
+    return Start(
+        q0, nodes.increments.bias_ref[0] if len(nodes.increments.bias_ref) else np.zeros(3), P, heading, in_motion
+    )
 
 
 def _level(up_b: Array) -> Array:
@@ -91,7 +95,8 @@ def _heading_offset(
 ) -> tuple[float, str, float, float]:
     """Return the turn about the vertical, the kind of heading, its sigma and the time it is from.
 
-    The first sensor in order of trust (orientation, sun, compass, magnetometer) decides; its readings of 20 s are averaged.
+    The first sensor in order of trust (orientation, sun, compass, magnetometer) decides; its readings of 20 s are
+    averaged.
     """
     found: dict[str, list[tuple[float, float, float]]] = {}
     for m in measurements:
@@ -110,7 +115,9 @@ def _heading_offset(
 
 
 def _offset(m: Measurement, R: Array) -> float | None:
-    """Return the turn about the vertical that this measurement asks of the level attitude ``R``; None if it says nothing."""
+    """Return the turn about the vertical that this measurement asks of the level attitude ``R``; None if it says
+    nothing.
+    """
     if m.role == "gravity":
         return None
     if isinstance(m.sensor, Direction):

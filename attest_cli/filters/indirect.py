@@ -1,6 +1,7 @@
 """The indirect (error-state) Kalman filter of Roumeliotis et al. 1999, run over nodes.
 
-Symbols: state ``q_nb``, gyro bias ``b``; error ``[dtheta_b, dbias]``; ``P``, ``Phi``, ``Q``, ``H``, ``R``, ``K`` as in eqs 20-30.
+Symbols: state ``q_nb``, gyro bias ``b``; error ``[dtheta_b, dbias]``; ``P``, ``Phi``, ``Q``, ``H``, ``R``, ``K`` as
+in eqs 20-30.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def run(nodes: Nodes, start: Start, gate_probability: float = 0.9999, max_iterat
 
     Notes
     -----
-    Between two nodes with measurements the bias estimate does not change, so attitude and ``Phi`` of the whole stretch are
-    made in one batch; the covariance recursion ``P = Phi P Phi' + Q`` (eq 22) is the only loop.
+    Between two nodes with measurements the bias estimate does not change, so attitude and ``Phi`` of the whole
+    stretch are made in one batch; the covariance recursion ``P = Phi P Phi' + Q`` (eq 22) is the only loop.
     """
     n, inc = len(nodes.t), nodes.increments
     P_pred, P = np.empty((n, 6, 6)), np.empty((n, 6, 6))
@@ -76,11 +77,15 @@ def _update(
     log: list[tuple[Measurement, float, bool, Array]],
 ) -> Update | None:  # fmt: skip
     """Update with all measurements of a node at once; while one misses its gate, leave the worst out and try again."""
-    kept, outside = list(group), []
+    kept = list(group)
+    outside: list[tuple[Measurement, float, bool, Array]] = []
     while kept:
         update = _solve(P, q, bias, kept, iterations)
         parts = _by_measurement(update, kept)
-        excess = [nis / chdtri(m.sensor.dof, 1.0 - gate) if gate < 1.0 else 0.0 for m, (nis, _) in zip(kept, parts, strict=True)]
+        excess = [
+            nis / float(chdtri(m.sensor.dof, 1.0 - gate)) if gate < 1.0 else 0.0
+            for m, (nis, _) in zip(kept, parts, strict=True)
+        ]
         worst = int(np.argmax(excess))
         if excess[worst] <= 1.0:
             log.extend((m, nis, True, z) for m, (nis, z) in zip(kept, parts, strict=True))

@@ -23,8 +23,9 @@ def solve(diagonal: Array, upper: Array, right: Array) -> tuple[Array, Array, Ar
 
     Notes
     -----
-    Eliminating every second block leaves a system of the same form for the others; the eliminated block ``i`` follows from
-    its neighbours ``a, c``: :math:`x_i=A_{ii}^{-1}(b_i-A_{ia}x_a-A_{ic}x_c)` and, with :math:`G=A_{ii}^{-1}[A_{ia}\ A_{ic}]`,
+    Eliminating every second block leaves a system of the same form for the others; the eliminated block ``i`` follows
+    from its neighbours ``a, c``: :math:`x_i=A_{ii}^{-1}(b_i-A_{ia}x_a-A_{ic}x_c)` and, with
+    :math:`G=A_{ii}^{-1}[A_{ia}\ A_{ic}]`,
     :math:`\Sigma_{ii}=A_{ii}^{-1}+G\Sigma_{ac}G^T`, :math:`\Sigma_{i,(a,c)}=-G\Sigma_{ac}`. log2(n) batched sweeps.
     """
     n, s = right.shape

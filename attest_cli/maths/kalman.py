@@ -4,9 +4,9 @@ A forward filter leaves a *chain*: with ``e_k`` the error about the predicted an
 
 .. math:: e_{k+1}=\Phi_k d_k+w_k,\quad w_k\sim N(0,Q_k),\qquad e_k=\Delta x_k\oplus d_k\simeq\Delta x_k+J_k^{-1}d_k,
 
-where the first ``rotations`` states compose as rotation vectors and :math:`J_k=\mathrm{blkdiag}(J_r(\Delta x_\theta),I)` (a
-plain Euclidean filter has ``rotations = 0`` and ``J = I``). In these coordinates the run is exactly linear and Gaussian, so
-RTS and Fraser-Potter agree to rounding also after iterated updates.
+where the first ``rotations`` states compose as rotation vectors and :math:`J_k=\mathrm{blkdiag}(J_r(\Delta
+x_\theta),I)` (a plain Euclidean filter has ``rotations = 0`` and ``J = I``). In these coordinates the run is exactly
+linear and Gaussian, so RTS and Fraser-Potter agree to rounding also after iterated updates.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ class Chain:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Smoothed errors about the filter's updated estimates: mean ``d`` (n, s), covariance ``P`` (n, s, s), and the lag-one
-    covariance ``cross`` (n - 1, s, s) = Cov(d_k, d_{k+1})."""
+    """Smoothed errors about the filter's updated estimates: mean ``d`` (n, s), covariance ``P`` (n, s, s), and the
+    lag-one covariance ``cross`` (n - 1, s, s) = Cov(d_k, d_{k+1}).
+    """
 
     d: Array
     P: Array
@@ -64,7 +65,8 @@ class Errors:
 @dataclass(frozen=True, slots=True)
 class Update:
     """Outcome of a measurement update: ``dx`` (s,), ``P`` (s, s) about the updated estimate, ``info``, ``vec`` as in
-    :class:`Chain`, innovation ``nu`` (m,) and its covariance ``S`` (m, m), both at the final linearisation."""
+    :class:`Chain`, innovation ``nu`` (m,) and its covariance ``S`` (m, m), both at the final linearisation.
+    """
 
     dx: Array
     P: Array
@@ -74,9 +76,9 @@ class Update:
     S: Array
 
 
-def symmetric(P: Array) -> Array:
+def symmetric(P: NDArray[np.floating]) -> Array:
     """Return ``(P + P') / 2``."""
-    return 0.5 * (P + P.swapaxes(-1, -2))
+    return np.asarray(0.5 * (P + P.swapaxes(-1, -2)), dtype=np.float64)
 
 
 def iterated_update(
@@ -84,7 +86,9 @@ def iterated_update(
 ) -> Update:
     r"""Update with the maximum a posteriori estimate: Gauss-Newton on the update, Joseph form, reset Jacobian.
 
-    .. math:: d_{i+1}=K_i(r_i+H_iJ_id_i),\qquad K_i=PH^T(HPH^T+R)^{-1},\ H=H_iJ_i,\ J_i=\mathrm{blkdiag}(J_r(d_{i,\theta}),I)
+    .. math:: d_{i+1}=K_i(r_i+H_iJ_id_i),\qquad K_i=PH^T(HPH^T+R)^{-1},
+
+    with :math:`H=H_iJ_i` and :math:`J_i=\mathrm{blkdiag}(J_r(d_{i,\theta}),I)`.
 
     Parameters
     ----------
@@ -124,7 +128,8 @@ def iterated_update(
 
 def rts(chain: Chain) -> Errors:
     r"""Rauch-Tung-Striebel: :math:`d_k=C_k e_{k+1}`, :math:`C_k=P_k\Phi_k^TP_{k+1|k}^{-1}`,
-    :math:`P^s_k=P_k+C_k(P^e_{k+1}-P_{k+1|k})C_k^T` with :math:`P^e=J^{-1}P^sJ^{-T}`."""
+    :math:`P^s_k=P_k+C_k(P^e_{k+1}-P_{k+1|k})C_k^T` with :math:`P^e=J^{-1}P^sJ^{-T}`.
+    """
     C = gains(chain)
     _, J_inv = chain.reset_jacobians()
     d, P = np.zeros_like(chain.dx), chain.P.copy()
@@ -144,8 +149,9 @@ def information(chain: Chain) -> tuple[Array, Array]:
     r"""Backward information filter: ``Y`` (n, s, s), ``y`` (n, s) of all measurements *after* node k, about ``d_k``.
 
     Per node, backwards: absorb :math:`(H^TR^{-1}H,H^TR^{-1}r)`, move to the predicted estimate
-    :math:`Y\leftarrow J^TYJ,\ y\leftarrow J^Ty+Y\Delta x`, step back :math:`Y\leftarrow\Phi^T(I+YQ)^{-1}Y\Phi`, with ``Phi``
-    and ``Q`` composed over each stretch without measurements, so that all its nodes are solved in one batch. Source: Fraser & Potter 1969, in the note's form 4(b); neither ``Y`` nor ``P`` is inverted.
+    :math:`Y\leftarrow J^TYJ,\ y\leftarrow J^Ty+Y\Delta x`, step back :math:`Y\leftarrow\Phi^T(I+YQ)^{-1}Y\Phi`, with
+    ``Phi`` and ``Q`` composed over each stretch without measurements, so that all its nodes are solved in one batch.
+    Source: Fraser & Potter 1969, in the note's form 4(b); neither ``Y`` nor ``P`` is inverted.
     """
     n, s = chain.dx.shape
     Y, y = np.zeros((n, s, s)), np.zeros((n, s))
@@ -163,7 +169,9 @@ def information(chain: Chain) -> tuple[Array, Array]:
 
 
 def _composed(chain: Chain, first: int, last: int) -> tuple[Array, Array]:
-    """Return ``Phi`` and ``Q`` (last - first, s, s) from each node ``first .. last - 1`` to ``last``, without measurements between."""
+    """Return ``Phi`` and ``Q`` (last - first, s, s) from each node ``first .. last - 1`` to ``last``, without
+    measurements between.
+    """
     s = chain.dx.shape[1]
     Phi, Q = np.empty((last - first, s, s)), np.empty((last - first, s, s))
     P, N = np.eye(s), np.zeros((s, s))
@@ -175,8 +183,10 @@ def _composed(chain: Chain, first: int, last: int) -> tuple[Array, Array]:
 
 
 def fuse(chain: Chain, Y: Array, y: Array) -> Errors:
-    """Fuse the forward posterior with the backward information: ``P_s = (I + P Y)^-1 P``, ``d = P_s y`` (paper eq 40, exact)."""
-    n, s = chain.dx.shape
+    """Fuse the forward posterior with the backward information: ``P_s = (I + P Y)^-1 P``, ``d = P_s y`` (paper eq 40,
+    exact).
+    """
+    s = chain.dx.shape[1]
     P = symmetric(np.linalg.solve(np.eye(s) + chain.P @ Y, chain.P))
     _, J_inv = chain.reset_jacobians()
     return Errors(np.einsum("kij,kj->ki", P, y), P, _cross(gains(chain), J_inv, P))

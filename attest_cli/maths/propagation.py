@@ -71,7 +71,9 @@ def _blocks(rate: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
     return theta, psi, q12, q11
 
 
-def assemble(theta: Array, psi: Array, q11: Array, q12: Array, span: Array, n_r: float, n_w: float) -> tuple[Array, Array]:
+def assemble(
+    theta: Array, psi: Array, q11: Array, q12: Array, span: Array, n_r: float, n_w: float
+) -> tuple[Array, Array]:
     """Return ``Phi``, ``Q`` (n, 6, 6) from component-first blocks (``q11``, ``q12`` per unit bias-walk density)."""
     n = span.shape[0]
     phi, q = np.zeros((n, 6, 6)), np.zeros((n, 6, 6))
@@ -88,7 +90,8 @@ def assemble(theta: Array, psi: Array, q11: Array, q12: Array, span: Array, n_r:
 def transition(rate: Array, dt: Array, n_r: float, n_w: float) -> tuple[Array, Array]:
     r"""Return :math:`\Phi` and :math:`Q` (n, 6, 6) for a constant rate over each interval.
 
-    .. math:: \Phi=\begin{bmatrix}\Theta&-\Psi\\0&I\end{bmatrix},\quad \Theta=e^{W\Delta t},\ \Psi=\int_0^{\Delta t}e^{Ws}ds
+    .. math:: \Phi=\begin{bmatrix}\Theta&-\Psi\\0&I\end{bmatrix},\quad
+        \Theta=e^{W\Delta t},\ \Psi=\int_0^{\Delta t}e^{Ws}ds
 
     Parameters
     ----------
@@ -99,14 +102,16 @@ def transition(rate: Array, dt: Array, n_r: float, n_w: float) -> tuple[Array, A
 
     Notes
     -----
-    Source: paper eqs 22-24 with the errata of the project's note; Q is not in the paper (exact integral, section 1 there).
+    Source: paper eqs 22-24 with the errata of the project's note; Q is not in the paper (exact integral, section 1
+    there).
     """
     theta, psi, q12, q11 = _blocks(np.ascontiguousarray(rate.T), dt)
     return assemble(theta, psi, q11, q12, dt, n_r, n_w)
 
 
 def step_vectors(rate0: Array, rate1: Array, dt: Array) -> Array:
-    r"""Return the rotation vectors :math:`\bar\omega\Delta t+\frac{\Delta t^2}{12}\omega_0\times\omega_1` (n, 3) of single steps.
+    r"""Return the rotation vectors :math:`\bar\omega\Delta t+\frac{\Delta t^2}{12}\omega_0\times\omega_1` (n, 3) of
+    single steps.
 
     Fourth order for a rate that is linear within the step (the paper's braces, made exactly unit).
     """
@@ -128,6 +133,7 @@ class Steps:
 
     @property
     def count(self) -> NDArray[np.int64]:
+        """Steps in each interval (m,)."""
         return np.diff(self.first)
 
 
@@ -147,8 +153,9 @@ class Increments:
     bias_ref: Array
 
     def at(self, bias: Array, lo: int, hi: int) -> tuple[Array, Array]:
-        """Return relative rotations (hi - lo, 4) and ``Phi`` (hi - lo, 6, 6) of intervals ``lo .. hi`` at ``bias``, to first
-        order in its change from ``bias_ref``."""
+        """Return relative rotations (hi - lo, 4) and ``Phi`` (hi - lo, 6, 6) of intervals ``lo .. hi`` at ``bias``,
+        to first order in its change from ``bias_ref``.
+        """
         small = rotation.exp_quaternion(-np.einsum("kij,kj->ki", self.psi[lo:hi], bias - self.bias_ref[lo:hi]))
         Phi = self.Phi[lo:hi].copy()
         Phi[:, :3, :3] = rotation.matrix(small).swapaxes(1, 2) @ Phi[:, :3, :3]
@@ -166,8 +173,8 @@ def preintegrate(steps: Steps, bias_ref: Array, n_r: float, n_w: float) -> Incre
 
     Notes
     -----
-    With ``A_j`` the single-step matrices, ``Phi = A_L ... A_1`` and ``Q`` accumulates as ``A_j Q A_j' + Q_j``. White gyro
-    noise is isotropic, so its part is ``n_r span I`` whatever the rotation.
+    With ``A_j`` the single-step matrices, ``Phi = A_L ... A_1`` and ``Q`` accumulates as ``A_j Q A_j' + Q_j``. White
+    gyro noise is isotropic, so its part is ``n_r span I`` whatever the rotation.
     """
     m = bias_ref.shape[0]
     dq = np.zeros((m, 4))
@@ -175,7 +182,9 @@ def preintegrate(steps: Steps, bias_ref: Array, n_r: float, n_w: float) -> Incre
     order = np.argsort(-steps.count, kind="stable")  # long intervals first: the active ones are always a prefix
     for lo in range(0, m, BLOCK):
         rows = order[lo : lo + BLOCK]
-        dq[rows], theta[..., rows], psi[..., rows], q12[..., rows], q11[..., rows] = _compose(steps, rows, bias_ref[rows])
+        dq[rows], theta[..., rows], psi[..., rows], q12[..., rows], q11[..., rows] = _compose(
+            steps, rows, bias_ref[rows]
+        )
     ends = np.concatenate([[0.0], np.cumsum(steps.dt)])
     span = ends[steps.first[1:]] - ends[steps.first[:-1]]
     phi, q = assemble(theta, psi, q11, q12, span, n_r, n_w)

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -94,12 +93,12 @@ def multiply(p: Array, q: Array) -> Array:
 
 def conjugate(q: Array) -> Array:
     """Return the inverse rotation of a unit quaternion (..., 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def normalise(q: Array) -> Array:
     """Return ``q / |q|``."""
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
 def matrix(q: Array) -> Array:
@@ -124,10 +123,21 @@ def from_matrix(m: Array) -> Array:
     d = np.einsum("...ii->...i", m)
     trace = np.sum(d, axis=-1)
     squares = np.stack([1 + trace, *(1 + 2 * d[..., i] - trace for i in range(3))], axis=-1)  # 4 q_i^2
-    off = {(0, 1): m[..., 2, 1] - m[..., 1, 2], (0, 2): m[..., 0, 2] - m[..., 2, 0], (0, 3): m[..., 1, 0] - m[..., 0, 1]}
-    off |= {(1, 2): m[..., 0, 1] + m[..., 1, 0], (1, 3): m[..., 0, 2] + m[..., 2, 0], (2, 3): m[..., 1, 2] + m[..., 2, 1]}
+    off = {
+        (0, 1): m[..., 2, 1] - m[..., 1, 2],
+        (0, 2): m[..., 0, 2] - m[..., 2, 0],
+        (0, 3): m[..., 1, 0] - m[..., 0, 1],
+    }
+    off |= {
+        (1, 2): m[..., 0, 1] + m[..., 1, 0],
+        (1, 3): m[..., 0, 2] + m[..., 2, 0],
+        (2, 3): m[..., 1, 2] + m[..., 2, 1],
+    }
     rows = np.stack(
-        [np.stack([squares[..., i] if i == j else off[min(i, j), max(i, j)] for j in range(4)], axis=-1) for i in range(4)],
+        [
+            np.stack([squares[..., i] if i == j else off[min(i, j), max(i, j)] for j in range(4)], axis=-1)
+            for i in range(4)
+        ],
         axis=-2,
     )
     best = np.argmax(squares, axis=-1)
@@ -146,7 +156,9 @@ def right_jacobian(v: Array) -> Array:
 
 
 def inverse_right_jacobian(v: Array) -> Array:
-    r"""Return :math:`J_r(v)^{-1}=I+\frac12[v\times]+\frac{1-\frac{x}{2}\cot\frac x2}{x^2}[v\times]^2`, ``|v| < 2 pi``."""
+    r"""Return :math:`J_r(v)^{-1}=I+\frac12[v\times]+\frac{1-\frac{x}{2}\cot\frac x2}{x^2}[v\times]^2`, ``|v| < 2
+    pi``.
+    """
     x2 = np.sum(v * v, axis=-1)
     a, b, _ = sine_ratios(x2)
     small = x2 < 1e-4
@@ -161,7 +173,9 @@ def compose(u: Array, v: Array) -> Array:
 
 
 def continuous(q: Array) -> Array:
-    """Return the quaternions (n, 4) with signs chosen so that neighbours have a positive scalar product; the first has w >= 0."""
+    """Return the quaternions (n, 4) with signs chosen so that neighbours have a positive scalar product; the first
+    has w >= 0.
+    """
     flips = np.sign(np.sum(q[1:] * q[:-1], axis=1))
     flips[flips == 0.0] = 1.0
     start = 1.0 if q[0, 0] >= 0.0 else -1.0

@@ -1,12 +1,13 @@
 """Log + segments -> Nodes: the epochs at which the estimate is made, the IMU between them, the measurements at them.
 
-The IMU is handled in bulk; filters and smoothers see only nodes. Between them stands a gyro product (motion), nothing (a
-stop: the attitude is frozen, the gyro measures its bias) or a hole (gap: the attitude may have changed by anything).
+The IMU is handled in bulk; filters and smoothers see only nodes. Between them stands a gyro product (motion), nothing
+(a stop: the attitude is frozen, the gyro measures its bias) or a hole (gap: the attitude may have changed by anything).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,9 +32,10 @@ __all__ = ["Nodes", "build_nodes"]
 class Nodes:
     """Epochs of the estimate.
 
-    ``t`` (n,) s, ``moving`` (n,) False in the used part of a stop; per interval k -> k + 1: ``frozen``, ``gap`` (n - 1,), ``increments``, ``steps`` (IMU steps on the merged
-    grid of samples and nodes); ``sample_step`` (samples - 1,) the step that ends at each IMU sample but the first;
-    ``measurements[i]`` those of node ``measured[i]``, ascending; ``noise``.
+    ``t`` (n,) s, ``moving`` (n,) False in the used part of a stop; per interval k -> k + 1: ``frozen``, ``gap`` (n -
+    1,), ``increments``, ``steps`` (IMU steps on the merged grid of samples and nodes); ``sample_step`` (samples - 1,)
+    the step that ends at each IMU sample but the first; ``measurements[i]`` those of node ``measured[i]``, ascending;
+    ``noise``.
     """
 
     t: Array
@@ -61,7 +63,9 @@ def build_nodes(
     stops = [(s.used_start, s.used_end) for s in segmentation.stops]
     gaps = [(float(a), float(b)) for a, b in log.gaps]
     frozen_stops = stops if settings.smoothing.zero_rate else []
-    t = _grid(imu.t, stops, frozen_stops, gaps, np.array([o.t for o in observations]), settings.smoothing.node_spacing_s)
+    t = _grid(
+        imu.t, stops, frozen_stops, gaps, np.array([o.t for o in observations]), settings.smoothing.node_spacing_s
+    )
     middle = 0.5 * (t[1:] + t[:-1])
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
     steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
@@ -69,7 +73,11 @@ def build_nodes(
     by_node: dict[int, list[Measurement]] = {}
     for o in observations:
         node = int(np.argmin(np.abs(t[max(0, (i := int(np.searchsorted(t, o.t))) - 1) : i + 1] - o.t)) + max(0, i - 1))
-        turn = None if (o.still and settings.smoothing.zero_rate) or np.all(np.abs(o.times - t[node]) < SAME_TIME_S) else _turns(imu, o.times, t[node], segmentation)
+        turn = (
+            None
+            if (o.still and settings.smoothing.zero_rate) or np.all(np.abs(o.times - t[node]) < SAME_TIME_S)
+            else _turns(imu, o.times, t[node], segmentation)
+        )
         by_node.setdefault(node, []).append(Measurement(o.role, o.sensor, node, o.t, o.values, o.noise, turn))
     for m in _zero_rates(imu, t, frozen, noise):
         by_node.setdefault(m.node, []).append(m)
@@ -82,12 +90,12 @@ def _grid(
     t: Array, stops: list[tuple[float, float]], frozen: list[tuple[float, float]], gaps: list[tuple[float, float]],
     epochs: Array, spacing: float,
 ) -> Array:  # fmt: skip
-    """Return node times: first and last sample, edges of stops and gaps, epochs, and between them at most the spacing."""
+    """Return node times: ends, edges of stops and gaps, epochs, and between them at most the spacing."""
     edges = [e for pair in (*stops, *gaps) for e in pair]
     must = np.unique(np.clip(np.concatenate([[t[0], t[-1]], edges, epochs]), t[0], t[-1]))
     must = must[np.concatenate([[True], np.diff(must) > SAME_TIME_S])]
     if len(must) == 1:
-        return must
+        return np.asarray(must)
     middle, width = 0.5 * (must[1:] + must[:-1]), np.diff(must)
     step = np.where(_inside(middle, frozen), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, spacing))
     parts = np.maximum(1, np.ceil(width / step - 1e-9)).astype(np.int64)
@@ -106,7 +114,9 @@ def _inside(t: Array, intervals: list[tuple[float, float]]) -> Bools:
 
 
 def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
-    """Merge samples and nodes into one grid; rates are linear between samples (``point``) or held over them (``interval``)."""
+    """Merge samples and nodes into one grid; rates are linear between samples (``point``) or held over them
+    (``interval``).
+    """
     grid = np.unique(np.concatenate([imu.t, t]))
     sample = np.searchsorted(grid, imu.t)
     first = np.searchsorted(grid, t)
@@ -147,7 +157,9 @@ def _turns(imu: Imu, times: Array, t_node: float, segmentation: Segmentation) ->
 
 
 def _zero_rates(imu: Imu, t: Array, frozen: Bools, noise: Noise) -> list[Measurement]:
-    """Mean rate of disjoint blocks of every stop, each at the node that ends it; short remainders join the block before."""
+    """Mean rate of disjoint blocks of every stop, each at the node that ends it; short remainders join the block
+    before.
+    """
     out: list[Measurement] = []
     at = np.searchsorted(imu.t, t, side="right")
     k = 0
@@ -163,12 +175,10 @@ def _zero_rates(imu: Imu, t: Array, frozen: Bools, noise: Noise) -> list[Measure
             long_enough = t[j] - t[cuts[-1]] >= 0.5 * STOP_NODE_S and t[end] - t[j] >= 0.5 * STOP_NODE_S
             if long_enough or j == end:
                 cuts.append(j)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in pairwise(cuts):
             rows = imu.gyro_b[at[a] : at[b]]
             if len(rows):
                 R = noise.n_r / (t[b] - t[a]) * np.eye(3)
                 out.append(Measurement("zero_rate", ZeroRate(), b, float(t[b]), rows.mean(axis=0)[None], R))
         k = end
     return out
-
-

@@ -19,7 +19,9 @@ BLOCK_S = 0.5  # block whose mean shows the noise below the sensor's own low-pas
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Densities: gyro rad/s/sqrt(Hz), its bias walk rad/s^2/sqrt(Hz), accelerometer m/s^2/sqrt(Hz); where each is from."""
+    """Densities: gyro rad/s/sqrt(Hz), its bias walk rad/s^2/sqrt(Hz), accelerometer m/s^2/sqrt(Hz); where each is
+    from.
+    """
 
     gyro_density: float
     gyro_walk: float
@@ -28,10 +30,12 @@ class Noise:
 
     @property
     def n_r(self) -> float:
+        """Spectral density of the gyro noise, (rad/s)^2/Hz (the paper's N_r)."""
         return self.gyro_density**2
 
     @property
     def n_w(self) -> float:
+        """Spectral density of the bias walk, (rad/s^2)^2/Hz (the paper's N_w)."""
         return self.gyro_walk**2
 
 
@@ -64,7 +68,9 @@ def density(blocks: list[tuple[Array, float]]) -> float | None:
 
 
 def bias_walk(means: Array, times: Array, spans: Array, n_r: float) -> float:
-    """Return the bias walk density from the mean rates (k, 3) of stops at ``times`` (k,), tempered by the assumption."""
+    """Return the bias walk density from the mean rates (k, 3) of stops at ``times`` (k,), tempered by the
+    assumption.
+    """
     total, weight = WALK_WEIGHT * ASSUMED_GYRO_WALK**2, WALK_WEIGHT
     if len(means) > 1:
         excess = np.diff(means, axis=0) ** 2 - (n_r * (1 / spans[1:] + 1 / spans[:-1]))[:, None]
@@ -74,7 +80,9 @@ def bias_walk(means: Array, times: Array, spans: Array, n_r: float) -> float:
 
 
 def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Noise:
-    """Return the noise of the IMU; each figure from the settings, else from the log's stops, else assumed (and said)."""
+    """Return the noise of the IMU; each figure from the settings, else from the log's stops, else assumed (and
+    said).
+    """
     t, wanted, sources = log.imu.t, settings.imu, {}
     ranges = [(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
     dt = [float(np.median(np.diff(t[lo:hi]))) for lo, hi in ranges]

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..maths import rotation
-from ..records import Array, Bools, Fixes, Log, Segmentation, Warn, World
+from ..records import Array, Bools, Fixes, Ints, Log, Segmentation, Warn, World
 from ..sensors import Direction, Sensor
 from ..sensors.heading import BodyHeading, FieldHeading
 from ..sensors.orientation import Orientation
@@ -22,7 +22,9 @@ STOP_BLOCK_S = 1.0  # samples of a fast sensor at a stop are averaged over this
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Samples of one sensor that make one update at time ``t``; ``still``: taken at a stop, where attitude is frozen."""
+    """Samples of one sensor that make one update at time ``t``; ``still``: taken at a stop, where attitude is
+    frozen.
+    """
 
     role: str
     sensor: Sensor
@@ -65,8 +67,8 @@ def gravity_at_stops(
 ) -> list[Observation]:
     """One update per stop: the accelerometer bias is shared by all its samples, so they do not average it away.
 
-    Without zero rate the attitude is not frozen, and gravity every second is what shows the gyro's bias: blocks of a second,
-    each with so much noise that together they know no more than the accelerometer bias lets them.
+    Without zero rate the attitude is not frozen, and gravity every second is what shows the gyro's bias: blocks of a
+    second, each with so much noise that together they know no more than the accelerometer bias lets them.
     """
     out = []
     for s, (lo, hi) in zip(segmentation.stops, stop_ranges(log, segmentation), strict=True):
@@ -90,16 +92,20 @@ def _up() -> Direction:
 def gravity_in_windows(
     log: Log, segmentation: Segmentation, world: World, settings: Settings
 ) -> tuple[list[Observation], Warn]:
-    r"""Tilt in motion, for a log without a stop or by request: specific force, turned by the gyro into the middle of long windows, and averaged.
+    r"""Tilt in motion, for a log without a stop or by request: specific force, turned by the gyro into the middle of
+    long windows, and averaged.
 
-    The mean acceleration of a window is what speed it gained over its length. Its size is not known: sigma is the larger of
-    the misfit of the mean's norm to gravity and half the change from window to window, doubled because a turn lasts.
+    The mean acceleration of a window is what speed it gained over its length. Its size is not known: sigma is the
+    larger of the misfit of the mean's norm to gravity and half the change from window to window, doubled because a
+    turn lasts.
     """
     t, bias = log.imu.t, reference_bias(log, segmentation, log.imu.t)
     means, turns, spans = [], [], []
     for lo, hi in _long_windows(t, segmentation):
         dt = np.diff(t[lo:hi], prepend=t[lo])
-        q = rotation.chain(rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias[lo:hi]) * dt[:, None]))  # start -> sample
+        q = rotation.chain(
+            rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias[lo:hi]) * dt[:, None])
+        )  # start -> sample
         means.append(np.einsum("mij,mj->i", rotation.matrix(q), log.imu.accel_b[lo:hi]) / (hi - lo))
         turns.append(rotation.matrix(q[-1]))
         spans.append((float(t[lo]), float(t[hi - 1])))
@@ -107,7 +113,9 @@ def gravity_in_windows(
     misfit = np.linalg.norm(vectors, axis=1) - world.gravity
     follows = [k for k in range(len(spans) - 1) if spans[k + 1][0] - spans[k][1] < 1.0]
     change = np.array([turns[k].T @ means[k] - means[k + 1] for k in follows])
-    sigma = 2.0 * max(float(np.sqrt(np.mean(misfit**2))), 0.5 * float(np.sqrt(np.mean(change**2))) if len(change) else 0.0)
+    sigma = 2.0 * max(
+        float(np.sqrt(np.mean(misfit**2))), 0.5 * float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
+    )
     sigma = max(sigma, settings.imu.accel_bias_sigma) / world.gravity
     out = [
         Observation("gravity", _up(), a, np.array([a]), (v / np.linalg.norm(v))[None], sigma**2 * np.eye(2), False)
@@ -122,7 +130,9 @@ def gravity_in_windows(
 
 
 def _long_windows(t: Array, segmentation: Segmentation) -> list[tuple[int, int]]:
-    """Return the samples ``[lo, hi)`` of the windows that share out every motion (the whole log where nothing is known)."""
+    """Return the samples ``[lo, hi)`` of the windows that share out every motion (the whole log where nothing is
+    known).
+    """
     out = []
     for s in segmentation.motions:
         edges = np.linspace(s.start, s.end, max(1, int((s.end - s.start) / WINDOW_S)) + 1)
@@ -150,8 +160,10 @@ def _sun(
     if rows == 2:
         use &= across < 1.0 + 5 * np.radians(cfg.sigma_deg)
     if not use.any():
-        warnings.append(Warn("sun-not-used", f"none of {len(use)} sun measurements could be used",
-                             "they are in motion with absolute = stops, out of view, or the sun is near the vertical"))  # fmt: skip
+        warnings.append(
+            Warn("sun-not-used", f"none of {len(use)} sun measurements could be used",
+                 "they are in motion with absolute = stops, out of view, or the sun is near the vertical")
+        )  # fmt: skip
     R_sb = rotation.matrix(np.array(cfg.mounting)).T
     R = np.radians(cfg.sigma_deg) ** 2 * np.eye(2)
     kind = "plane" if rows == 2 else "tangent"
@@ -162,7 +174,7 @@ def _sun(
     ]  # fmt: skip
 
 
-def _grouped(fixes: Fixes, segmentation: Segmentation, spacing: float, only_stops: bool) -> list[tuple[Array, bool]]:
+def _grouped(fixes: Fixes, segmentation: Segmentation, spacing: float, only_stops: bool) -> list[tuple[Ints, bool]]:
     """Group the samples of a sensor: bins of a second at stops and of the node spacing in motion, else one by one."""
     still = at_stop(fixes.t, segmentation)
     stop_number = np.searchsorted([s.used_start for s in segmentation.stops], fixes.t, side="right")
@@ -199,7 +211,9 @@ def _orientation(
 def _magnetometer(
     fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str
 ) -> list[Observation]:
-    """One heading per stop, with the place's own error; in motion (``always``) one a second, inflated for its correlation."""
+    """One heading per stop, with the place's own error; in motion (``always``) one a second, inflated for its
+    correlation.
+    """
     azimuth = 0.5 * np.pi if world.field_n is None else float(np.arctan2(world.field_n[1], world.field_n[0]))
     sensor, place = FieldHeading(azimuth), np.radians(settings.magnetometer.sigma_deg) ** 2
     still = at_stop(fixes.t, segmentation)

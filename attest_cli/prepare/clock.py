@@ -83,7 +83,7 @@ def gaps(stamps_ns: Ints, max_gap_s: float, periods: float = 5.0) -> Ints:
 
 def _refuse_step(name: str, latest: Ints, back: Ints, t0_ns: int) -> None:
     row = int(np.argmax(back > STEP_BACK_NS))
-    when, size = (int(latest[row]) - t0_ns) * 1e-9, int(back[row]) * 1e-9
+    when, size = (int(latest[row]) - t0_ns) // 1_000_000 * 1e-3, int(back[row]) * 1e-9
     message = f"{name}: the clock steps back by {size:.3f} s at {when:.3f} s (row {row + 1})"
     raise AttestError(message, f"cut the log there, or take the part before it with --end {when:.3f}")
 
@@ -119,11 +119,13 @@ def _spread(stamps_ns: Ints) -> tuple[Ints, int]:
     if not spread:
         return stamps_ns, 0
     distinct = stamps_ns[starts]
-    period = max(int((distinct[-1] - distinct[0]) // (stamps_ns.size - 1)), 1)
+    period = max(int(np.median(np.diff(distinct) // counts[1:])), 1)
     before = np.diff(distinct, prepend=distinct[0] - period * counts[0]) // counts
     after = np.diff(distinct, append=distinct[-1] + period * counts[-1]) // counts
-    forward = np.abs(after - period) < np.abs(before - period)
+    forward = (np.abs(after - period) < np.abs(before - period)) & (np.append(counts[1:], 1) == 1)
     step = np.repeat(np.where(counts > 1, np.minimum(np.where(forward, after, before), 2 * period), 0), counts)
     place = np.arange(stamps_ns.size) - np.repeat(starts, counts)
     last = np.repeat(counts - 1, counts)
-    return stamps_ns + step * np.where(np.repeat(forward, counts), place, place - last), spread
+    moved = stamps_ns + step * np.where(np.repeat(forward, counts), place, place - last)
+    index = np.arange(moved.size)
+    return np.maximum.accumulate(moved - index) + index, spread  # at least 1 ns apart, whatever the batches

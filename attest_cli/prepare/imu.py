@@ -62,6 +62,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRow
     ordered = [_in_window(files, part, t0_ns, settings, warnings) for part in parts]
     first = ordered[0]
     _enough(files, first.stamps_ns)
+    t0_ns = min(t0_ns, int(first.stamps_ns[0]))  # a first batch is spread to before its stamp
     seconds_in = float(first.stamps_ns[-1] - first.stamps_ns[0]) * 1e-9
     stamps_ns, table = (
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
@@ -129,7 +130,9 @@ def _window(stamps_ns: Ints, t0_ns: int, settings: Settings) -> tuple[int, int]:
             np.argmax(np.append(stamps_ns, np.iinfo(np.int64).max) >= t0_ns + round(settings.time.start_s * 1e9))
         )
     if settings.time.end_s is not None:
-        after = stamps_ns[start:] > t0_ns + round(settings.time.end_s * 1e9)
+        end_ns, latest = t0_ns + round(settings.time.end_s * 1e9), np.maximum.accumulate(stamps_ns[start:])
+        back = (latest >= end_ns) & (latest - stamps_ns[start:] > STEP_BACK_NS)  # a new clock begins: past the window
+        after = (stamps_ns[start:] > end_ns) | back
         end = start + int(np.argmax(after)) if np.any(after) else end
     return start, end
 

@@ -19,10 +19,9 @@ JOIN_OVERLAP_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """The chosen channel of each role; ``others``: channels that play none."""
+    """The chosen channel of each role, and what should be known of the choice."""
 
     channels: Mapping[str, Channel]
-    others: tuple[Channel, ...] = ()
     warnings: list[Warn] = field(default_factory=list)
 
 
@@ -41,7 +40,7 @@ def choose(recordings: Sequence[Recording], settings: Settings) -> Cast:
     cast: dict[str, Channel] = {}
     warnings: list[Warn] = []
     for role in ROLES:
-        candidates = [channel for channel in found if channel.role == role and channel.stamps_ns.size]
+        candidates = [channel for channel in found if channel.role == role]
         if role in named:
             cast[role] = named[role]
         elif candidates and role != "orientation":
@@ -53,15 +52,14 @@ def choose(recordings: Sequence[Recording], settings: Settings) -> Cast:
         cast.pop("accel", None)
     elif {"gyro", "accel"} <= cast.keys():
         cast.pop("imu", None)
-    used = {channel.name for channel in cast.values()}
-    return Cast(cast, tuple(channel for channel in found if channel.name not in used), warnings)
+    return Cast(cast, warnings)
 
 
 def joined(recordings: Sequence[Recording]) -> list[Channel]:
     """Join channels of one name from several files by time; where they overlap they get their file's name instead."""
     by_name: dict[str, list[tuple[Recording, Channel]]] = {}
     for recording in recordings:
-        for channel in recording.channels:
+        for channel in (c for c in recording.channels if c.stamps_ns.size):
             by_name.setdefault(channel.name, []).append((recording, channel))
     found = []
     for name, parts in by_name.items():

@@ -27,9 +27,12 @@ SUFFIXES: Mapping[str, str] = {
 """Suffix -> format, where the first bytes do not tell."""
 
 UNREADABLE: Mapping[bytes, tuple[str, str]] = {
-    b"#ROSBAG V": ("a ROS 1 bag", "convert it to MCAP, for instance with rosbags-convert or mcap convert"),
+    b"#ROSBAG V": (
+        "a ROS 1 bag",
+        "convert it to a ROS 2 MCAP with rosbags-convert (mcap convert keeps ROS 1 messages)",
+    ),
     b"ULog\x01\x12\x35": ("a PX4 ULog", "convert it to CSV, for instance with ulog2csv"),
-    b"SQLite format 3\x00": ("an SQLite file (a ROS 2 bag of old?)", "convert it with ros2 bag convert -o to MCAP"),
+    b"SQLite format 3\x00": ("an SQLite file (a ROS 2 .db3 bag?)", "convert it to MCAP with mcap convert"),
     b"PK\x03\x04": ("a zip archive or spreadsheet", "unpack it, or save the sheet as CSV"),
     b"\x1f\x8b": ("a gzip file", "unpack it with gunzip"),
     b"\x28\xb5\x2f\xfd": ("a zstd file", "unpack it with zstd -d"),

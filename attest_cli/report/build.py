@@ -58,7 +58,7 @@ class Run:
 def build(run: Run) -> dict[str, Any]:
     """Return the report without its pages."""
     checks = _checks(run)
-    found = {
+    return {
         "attest_version": __version__,
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "verdict": _verdict(run, checks),
@@ -82,7 +82,6 @@ def build(run: Run) -> dict[str, Any]:
         "pages": [],
         "history": [*run.log.history, *run.world.notes],
     }
-    return found
 
 
 def _input(run: Run) -> dict[str, Any]:
@@ -255,15 +254,21 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
         name = role.replace("_", " ")
         if s["rejected"]:
             share = s["rejected"] / s["count"]
-            lines.append(_check(f"rejected-{role}", share <= MANY_REJECTED, f"{s['rejected']} of {s['count']} {name} measurements rejected",
-                                "see the innovations"))  # fmt: skip
+            fact = f"{s['rejected']} of {s['count']} {name} measurements rejected"
+            lines.append(_check(f"rejected-{role}", share <= MANY_REJECTED, fact, "see the innovations"))
         if s["used"] < 5:
             continue
         total = s["used"] * s["dof"]
         low, high = chdtri(total, 1 - BAND / 2) / s["used"], chdtri(total, BAND / 2) / s["used"]
         mean = s["mean_nis"]
         good = mean <= high
-        word = "fit their noise" if low <= mean <= high else "are better than their noise" if good else "are worse than their noise"
+        word = (
+            "fit their noise"
+            if low <= mean <= high
+            else "are better than their noise"
+            if good
+            else "are worse than their noise"
+        )
         lines.append(_check(f"innovations-{role}", bool(good), f"{name.capitalize()} innovations {word}",
                             f"mean NIS {mean:.2g} for {s['dof']} degrees of freedom"))  # fmt: skip
     return lines
@@ -282,9 +287,16 @@ def _advice_check(run: Run) -> dict[str, Any] | None:
     if not run.segmentation.stops:
         return None
     if not lines:
-        return _check("stop-advice", True, f"Stops were often enough for {threshold:g}°", "the forward sigma never passes it")
+        return _check(
+            "stop-advice", True, f"Stops were often enough for {threshold:g}°", "the forward sigma never passes it"
+        )
     fact = f"Forward sigma passes {threshold:g}° in {len(lines)} of {len(run.segmentation.motions)} motions"
-    return _check("stop-advice", bool(run.advice["smoothed_below"]), fact, "smoothing stays below it" if run.advice["smoothed_below"] else lines[0])
+    return _check(
+        "stop-advice",
+        bool(run.advice["smoothed_below"]),
+        fact,
+        "smoothing stays below it" if run.advice["smoothed_below"] else lines[0],
+    )
 
 
 def _data_check(run: Run) -> dict[str, Any] | None:

@@ -1,7 +1,8 @@
 """Measurement models: what a sensor should read at an attitude and bias, and how that changes with the error state.
 
 Symbols: ``r = z - h(x)`` residual, ``H`` Jacobian to ``[dtheta_b, dbias]`` (paper eqs 31-36), ``R`` noise covariance.
-Every model has ``linearise(R_nb, bias, values) -> (r, H)`` over ``m`` samples at once; adding one is a class and a line here.
+Every model has ``linearise(R_nb, bias, values) -> (r, H)`` over ``m`` samples at once; adding one is a class and a
+line here.
 """
 
 from __future__ import annotations
@@ -70,7 +71,9 @@ class Measurement:
     turn: Array | None = None
 
     def linearise(self, q_nb: Array, bias: Array) -> tuple[Array, Array]:
-        """Return the mean residual (dof,) and Jacobian (dof, 6) at the node's attitude ``q_nb`` (4,) and ``bias`` (3,)."""
+        """Return the mean residual (dof,) and Jacobian (dof, 6) at the node's attitude ``q_nb`` (4,) and ``bias``
+        (3,).
+        """
         R_nb = np.broadcast_to(rotation.matrix(q_nb), (len(self.values), 3, 3))
         if self.turn is None:
             r, H = self.sensor.linearise(R_nb, bias, self.values)

@@ -45,8 +45,8 @@ class BodyHeading:
 class FieldHeading:
     """Magnetometer used for heading only: values (m, 3) field in body axes, any unit.
 
-    ``azimuth_n``: direction of the horizontal field, rad from east, counter-clockwise. Tilt enters the Jacobian, but the
-    field's dip is not used, so that a disturbed field cannot pull roll and pitch.
+    ``azimuth_n``: direction of the horizontal field, rad from east, counter-clockwise. Tilt enters the Jacobian, but
+    the field's dip is not used, so that a disturbed field cannot pull roll and pitch.
     """
 
     azimuth_n: float

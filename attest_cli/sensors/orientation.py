@@ -12,7 +12,9 @@ from ..records import Array
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    r"""Values (m, 4) Hamilton ``q_nb``: :math:`r=\mathrm{Log}(R_{nb}^T Z)`, :math:`H=J_r^{-1}(-r)` (exact at any distance below pi)."""
+    r"""Values (m, 4) Hamilton ``q_nb``: :math:`r=\mathrm{Log}(R_{nb}^T Z)`, :math:`H=J_r^{-1}(-r)` (exact at any
+    distance below pi).
+    """
 
     @property
     def dof(self) -> int:

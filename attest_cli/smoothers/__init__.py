@@ -1,4 +1,6 @@
-"""Smoothers: a forward run in, the estimate from all measurements out. One backward core (``maths.kalman``) serves every filter."""
+"""Smoothers: a forward run in, the estimate from all measurements out. One backward core (``maths.kalman``) serves
+every filter.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ SMOOTHERS: dict[str, Callable[[FilterRun], Smoothed]] = {
 
 
 def apply(run: FilterRun, errors: kalman.Errors) -> Smoothed:
-    """Correct the forward estimate by the smoothed errors; covariances move to the tangent of the corrected attitude."""
+    """Correct the forward estimate by the smoothed errors; covariances move to the tangent of the corrected
+    attitude.
+    """
     G = np.tile(np.eye(6), (len(run.t), 1, 1))
     G[:, :3, :3] = rotation.right_jacobian(errors.d[:, :3])
     q = rotation.multiply(run.q, rotation.exp_quaternion(errors.d[:, :3]))
@@ -55,9 +59,9 @@ def backward_estimate(
 ) -> tuple[Array, Array, Array]:
     """Return the backward pass as an estimate of its own: ``q`` (n, 4), ``bias`` (n, 3), ``P`` (n, 6, 6).
 
-    It holds the measurements after each node only. NaN where its attitude is not known to ``weakest`` rad in every axis, or
-    so far from the forward pass (30 deg) that errors about that pass do not describe it. Without a heading sensor it borrows
-    the forward heading, so that its tilt can be shown.
+    It holds the measurements after each node only. NaN where its attitude is not known to ``weakest`` rad in every
+    axis, or so far from the forward pass (30 deg) that errors about that pass do not describe it. Without a heading
+    sensor it borrows the forward heading, so that its tilt can be shown.
     """
     Y, y = information or kalman.information(run.chain)
     if run.heading == "relative":

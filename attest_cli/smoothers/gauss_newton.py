@@ -33,7 +33,8 @@ def refine(
     ----------
     nodes, start : as for the filter
     smoothed : trajectory to begin with
-    innovations : of the forward filter, whose gate decides in the first pass; later ones gate on the smoothed trajectory.
+    innovations : of the forward filter, whose gate decides in the first pass; later ones gate on the smoothed
+    trajectory.
         None: every measurement counts in every pass
     passes : at most this many
     fixed : make all passes; else stop when no state moves by more than 1e-3 sigma
@@ -42,9 +43,11 @@ def refine(
     -----
     Each pass is one block-tridiagonal solve with all marginal covariances. Source: the note, section 5.
     """
-    q, bias, P, cross, made = smoothed.q, smoothed.bias, smoothed.P, smoothed.cross, 0
+    q, bias, P, cross = smoothed.q, smoothed.bias, smoothed.P, smoothed.cross
+    made = 0
     kept = None if innovations is None else _kept(innovations)
-    for made in range(1, passes + 1):
+    while made < passes:
+        made += 1
         diagonal, upper, right = _normal_equations(nodes, start, q, bias, kept)
         d, P, cross = block_tridiagonal.solve(diagonal, upper, right)
         q = rotation.normalise(rotation.multiply(q, rotation.exp_quaternion(d[:, :3])))

@@ -1,4 +1,6 @@
-"""The literal procedure of Roumeliotis et al. 1999, sections 4.3-4.4, for comparison: its covariance counts the past twice."""
+"""The literal procedure of Roumeliotis et al. 1999, sections 4.3-4.4, for comparison: its covariance counts the past
+twice.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,9 @@ def errors(run: FilterRun) -> kalman.Errors:
 
     .. math:: q_b(k{-}1)=q_b(k)\,\Delta q(b_b)^{-1},\quad P_b(k{-}1)=\Phi^{-1}(P_b(k)+Q)\Phi^{-T}
 
-    It starts from the forward posterior at the last node of the stop that closes a motion and fuses over that motion; at
-    stops the forward value stands. Prior and past are in both filters: the states are nearly optimal, the bias sigma is too
-    small by up to sqrt(2) (erratum 16 of the note).
+    It starts from the forward posterior at the last node of the stop that closes a motion and fuses over that motion;
+    at stops the forward value stands. Prior and past are in both filters: the states are nearly optimal, the bias
+    sigma is too small by up to sqrt(2) (erratum 16 of the note).
     """
     chain = run.chain
     d, P = np.zeros_like(chain.dx), chain.P.copy()
@@ -41,7 +43,9 @@ def _motions(moving: Bools) -> list[tuple[int, int, int]]:
 
 
 def _fuse(run: FilterRun, k: int, q_b: Array, bias_b: Array, P_b: Array) -> tuple[Array, Array]:
-    """Fuse about the forward attitude: ``P = Pf - Pf (Pf + Pb)^-1 Pf``, ``d = P Pb^-1 [Log(q_f^-1 q_b); b_b - b_f]``."""
+    """Fuse about the forward attitude: ``P = Pf - Pf (Pf + Pb)^-1 Pf``, ``d = P Pb^-1 [Log(q_f^-1 q_b); b_b -
+    b_f]``.
+    """
     P_f = run.chain.P[k]
     P = kalman.symmetric(P_f - P_f @ np.linalg.solve(P_f + P_b, P_f))
     apart = np.concatenate(

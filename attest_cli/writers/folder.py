@@ -22,8 +22,8 @@ OURS = re.compile(r"(track\.(parquet|csv|tum|mcap)|passes\.parquet|innovations\.
 def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Path] = ()) -> Iterator[Path]:
     """Give a temporary folder beside ``output``; it takes the place of ``output`` when all went well.
 
-    With ``overwrite`` the files of an older result are replaced one by one, ``report.json`` last, those of a result that the
-    new one does not have are removed, and files that are not ours stay.
+    With ``overwrite`` the files of an older result are replaced one by one, ``report.json`` last, those of a result
+    that the new one does not have are removed, and files that are not ours stay.
 
     Raises
     ------

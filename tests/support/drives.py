@@ -146,3 +146,21 @@ def degrees_apart(p: Array, q: Array) -> float:
     """Largest angle between two tracks of quaternions, deg."""
     turns = rotation.log_quaternion(rotation.multiply(rotation.conjugate(p), q))
     return float(np.degrees(np.linalg.norm(turns, axis=-1).max()))
+
+
+def wrong_start(work: Job, yaw_deg: float, rng: np.random.Generator, bias_sigma: float = 5e-3) -> Start:
+    """A start in motion with its yaw ``yaw_deg`` wrong and a tilt wrong by its sigma of 2 deg; yaw sigma max(yaw, 30 deg)."""
+    tilt = np.radians(2.0)
+    yaw = np.radians(max(abs(yaw_deg), 30.0))
+    error_n = np.array([*rng.normal(0.0, tilt, 2), np.radians(yaw_deg)])
+    q = rotation.multiply(rotation.exp_quaternion(error_n), work.truth(work.nodes.t[:1]).q_nb[0])
+    R, P = rotation.matrix(q), np.zeros((6, 6))
+    P[:3, :3] = R.T @ np.diag([tilt**2, tilt**2, yaw**2]) @ R
+    P[3:, 3:] = bias_sigma**2 * np.eye(3)
+    return Start(q, np.zeros(3), P, "absolute", True)
+
+
+def in_motion(options: RoverOptions, after_s: float = 10.0, **over: Mapping[str, Any]) -> Job:
+    """A drive whose log begins ``after_s`` into its first motion."""
+    start = float(rover_drive(options).timeline.motions[0, 0]) + after_s
+    return simulated(options, start_s=round(start * options.rate_hz) / options.rate_hz, **over)

@@ -28,10 +28,19 @@ def half(whole: Channel, role: str, stamps_ns: Ints | None = None, **values: Arr
     return Channel(f"/imu/{role}", "columns", role, whole.stamps_ns if stamps_ns is None else stamps_ns, held, UNITS)
 
 
-def fixes(role: str, t: Array | list[float], values: Any, units: dict[str, str] | None = None, name: str = "") -> Channel:
+def fixes(
+    role: str, t: Array | list[float], values: Any, units: dict[str, str] | None = None, name: str = ""
+) -> Channel:
     table = np.asarray(values, dtype=np.float64)
     stamps_ns = T0 + np.rint(np.asarray(t) * 1e9).astype(np.int64)
-    return Channel(name or f"/{role}", "columns", role, stamps_ns, {k: table[:, j] for j, k in enumerate(COLUMNS[role][: table.shape[1]])}, units or {})
+    return Channel(
+        name or f"/{role}",
+        "columns",
+        role,
+        stamps_ns,
+        {k: table[:, j] for j, k in enumerate(COLUMNS[role][: table.shape[1]])},
+        units or {},
+    )
 
 
 def recording(*channels: Channel, name: str = "log.csv", other: dict[str, str] | None = None) -> Recording:
@@ -53,7 +62,13 @@ def test_a_clean_log_comes_through_untouched_and_without_a_warning() -> None:
     np.testing.assert_array_equal(log.stamps_ns, channel.stamps_ns)
     np.testing.assert_array_equal(log.imu.t, np.arange(1000) * 10_000_000 * 1e-9)
     np.testing.assert_array_equal(log.imu.gyro_b[:, 1], channel.values["gyro_y"])
-    assert log.coverage == {"rows_in": 1000, "rows_used": 1000, "rows_dropped": 0, "seconds_in": pytest.approx(9.99), "seconds_used": pytest.approx(9.99)}  # fmt: skip
+    assert log.coverage == {
+        "rows_in": 1000,
+        "rows_used": 1000,
+        "rows_dropped": 0,
+        "seconds_in": pytest.approx(9.99),
+        "seconds_used": pytest.approx(9.99),
+    }
     assert log.warnings == ()
     assert log.gaps.shape == (0, 2)
     assert log.history == ("imu: /imu/data (sensor_msgs/msg/Imu), 1000 of 1000",)
@@ -74,8 +89,20 @@ class TestRoles:
         assert log.warnings == ()
 
     def test_the_sensor_beside_the_imu_is_taken(self) -> None:
-        near = fixes("magnetometer", [1.0, 2.0], [[2e-5, 0, -4e-5]] * 2, dict.fromkeys(COLUMNS["magnetometer"], "T"), "/front/mag")
-        far = fixes("magnetometer", [1.0, 2.0, 3.0], [[4e-5, 0, 0]] * 3, dict.fromkeys(COLUMNS["magnetometer"], "T"), "/rear/mag")
+        near = fixes(
+            "magnetometer",
+            [1.0, 2.0],
+            [[2e-5, 0, -4e-5]] * 2,
+            dict.fromkeys(COLUMNS["magnetometer"], "T"),
+            "/front/mag",
+        )
+        far = fixes(
+            "magnetometer",
+            [1.0, 2.0, 3.0],
+            [[4e-5, 0, 0]] * 3,
+            dict.fromkeys(COLUMNS["magnetometer"], "T"),
+            "/rear/mag",
+        )
         assert log_of(imu(name="/front/imu"), far, near).fixes["magnetometer"].channel == "/front/mag"
 
     def test_an_unknown_name_is_refused_with_the_nearest(self) -> None:
@@ -85,12 +112,23 @@ class TestRoles:
 
     def test_a_channel_of_an_unread_kind_is_named_as_such(self) -> None:
         with pytest.raises(AttestError, match="json"):
-            prepare([recording(imu(), other={"/sun_json": "Sun (json)"})], Settings.model_validate({"map": {"sun": "/sun_json"}}))
+            prepare(
+                [recording(imu(), other={"/sun_json": "Sun (json)"})],
+                Settings.model_validate({"map": {"sun": "/sun_json"}}),
+            )
 
     def test_a_bare_vector_plays_the_role_it_is_mapped_to(self) -> None:
-        wind = Channel("/dir", "geometry_msgs/msg/Vector3Stamped", "", T0 + np.arange(1, 4) * 10**9, {k: np.array([0.0, 3.0, 4.0]) + (k == "z") for k in "xyz"})
+        wind = Channel(
+            "/dir",
+            "geometry_msgs/msg/Vector3Stamped",
+            "",
+            T0 + np.arange(1, 4) * 10**9,
+            {k: np.array([0.0, 3.0, 4.0]) + (k == "z") for k in "xyz"},
+        )
         assert log_of(imu(), wind).fixes == {}
-        np.testing.assert_allclose(np.linalg.norm(log_of(imu(), wind, map={"sun": "/dir"}).fixes["sun"].values, axis=1), 1.0)
+        np.testing.assert_allclose(
+            np.linalg.norm(log_of(imu(), wind, map={"sun": "/dir"}).fixes["sun"].values, axis=1), 1.0
+        )
 
     def test_a_channel_that_cannot_play_a_role_is_refused(self) -> None:
         with pytest.raises(AttestError, match="cannot be the sun"):
@@ -122,7 +160,12 @@ class TestFiles:
     def test_parts_of_one_drive_are_joined_in_any_order(self) -> None:
         whole = imu(1000)
         parts = [
-            recording(Channel("imu", "columns", "imu", whole.stamps_ns[rows], {k: v[rows] for k, v in whole.values.items()}, UNITS), name=name)
+            recording(
+                Channel(
+                    "imu", "columns", "imu", whole.stamps_ns[rows], {k: v[rows] for k, v in whole.values.items()}, UNITS
+                ),
+                name=name,
+            )
             for name, rows in (("b.csv", slice(500, None)), ("a.csv", slice(0, 500)))
         ]
         log = prepare(parts, Settings())
@@ -131,15 +174,24 @@ class TestFiles:
         assert log.warnings == ()
 
     def test_sensors_in_files_of_their_own_are_one_log(self) -> None:
-        log = prepare([recording(imu()), recording(fixes("sun", [1.0, 2.0], [[0, 0.6, 0.8], [0, 0.8, 0.6]]), name="sun.csv")], Settings())
+        log = prepare(
+            [recording(imu()), recording(fixes("sun", [1.0, 2.0], [[0, 0.6, 0.8], [0, 0.8, 0.6]]), name="sun.csv")],
+            Settings(),
+        )
         assert log.fixes["sun"].t.tolist() == [1.0, 2.0]
         assert log.sources == (Path("log.csv"), Path("sun.csv"))
 
     def test_two_imus_that_overlap_are_never_mixed(self) -> None:
-        log = prepare([recording(imu(name="imu"), name="left.csv"), recording(imu(name="imu", seed=2), name="right.csv")], Settings())
+        log = prepare(
+            [recording(imu(name="imu"), name="left.csv"), recording(imu(name="imu", seed=2), name="right.csv")],
+            Settings(),
+        )
         assert log.imu.t.size == 1000
         assert codes(log) == ["several-channels"]
-        chosen = prepare([recording(imu(name="imu"), name="left.csv"), recording(imu(name="imu", seed=2), name="right.csv")], Settings.model_validate({"imu": {"channel": "right:imu"}}))  # fmt: skip
+        chosen = prepare(
+            [recording(imu(name="imu"), name="left.csv"), recording(imu(name="imu", seed=2), name="right.csv")],
+            Settings.model_validate({"imu": {"channel": "right:imu"}}),
+        )
         np.testing.assert_array_equal(chosen.imu.gyro_b[:, 0], imu(seed=2).values["gyro_x"])
 
 
@@ -203,7 +255,16 @@ class TestRows:
         rows = np.sort(np.r_[np.arange(1000), 17, 17, 400])
         rows[[0, 1]] = rows[[1, 0]]  # the very first rows too
         rows[[600, 601]] = rows[[601, 600]]
-        log = log_of(Channel(clean.name, clean.kind, "imu", clean.stamps_ns[rows], {k: v[rows] for k, v in clean.values.items()}, UNITS))
+        log = log_of(
+            Channel(
+                clean.name,
+                clean.kind,
+                "imu",
+                clean.stamps_ns[rows],
+                {k: v[rows] for k, v in clean.values.items()},
+                UNITS,
+            )
+        )
         expected = log_of(clean)
         assert log.t0_ns == expected.t0_ns
         np.testing.assert_array_equal(log.stamps_ns, expected.stamps_ns)
@@ -276,7 +337,9 @@ class TestFixes:
             fixes("compass", [1, 2], [[90.0], [271.0]], {"compass_deg": "deg"}),
             fixes("gps", [1], [[46.5, 6.6, 400.0]], {"latitude": "deg", "longitude": "deg", "altitude": "m"}),
             fixes("position", [1], [[1.0, 2.0, 3.0]], dict.fromkeys(COLUMNS["position"], "m")),
-            Channel("/odom", "columns", "odometry", T0 + np.array([10**9]), {"speed": np.array([3.6])}, {"speed": "km/h"}),
+            Channel(
+                "/odom", "columns", "odometry", T0 + np.array([10**9]), {"speed": np.array([3.6])}, {"speed": "km/h"}
+            ),
             fixes("temperature", [1], [[294.15]], {"temperature_c": "K"}),
         )
         np.testing.assert_allclose(log.fixes["compass"].values[:, 0], np.radians([90.0, 271.0]))
@@ -321,7 +384,10 @@ class TestFixes:
 
     def test_sigmas_that_the_log_states_are_kept(self) -> None:
         values = {"latitude": np.array([46.5]), "longitude": np.array([6.6]), "gps_sigma_m": np.array([2.0])}
-        log = log_of(imu(), Channel("/fix", "columns", "gps", T0 + np.array([10**9]), values, {"latitude": "deg", "longitude": "deg"}))
+        log = log_of(
+            imu(),
+            Channel("/fix", "columns", "gps", T0 + np.array([10**9]), values, {"latitude": "deg", "longitude": "deg"}),
+        )
         assert log.fixes["gps"].sigma is not None
         np.testing.assert_array_equal(log.fixes["gps"].sigma, [[2.0, 2.0, 2.0]])
         assert np.isnan(log.fixes["gps"].values[0, 2])

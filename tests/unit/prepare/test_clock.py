@@ -1,4 +1,4 @@
-"""Stamps in order, against the fault matrix: swapped, repeated, batched, stepping back, without resolution, with holes."""
+"""Stamps in order, against the fault matrix: swapped, repeated, batched, stepping back, coarse, with holes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def test_swapped_rows_equal_the_sorted_log(swaps: list[int]) -> None:
     ordered = in_order("log", clean()[order], values(100)[order], T0)
     np.testing.assert_array_equal(ordered.stamps_ns, clean())
     np.testing.assert_array_equal(values(100)[order][ordered.rows], values(100))
-    assert [w.code for w in ordered.warnings] == ([] if np.array_equal(order, np.arange(100)) else ["rows-out-of-order"])
+    assert [w.code for w in ordered.warnings] == (
+        [] if np.array_equal(order, np.arange(100)) else ["rows-out-of-order"]
+    )
 
 
 def test_rows_late_against_the_maximum_so_far_are_counted() -> None:

@@ -27,7 +27,14 @@ def moving(rng: np.random.Generator, amplitude: float = 0.3) -> tuple[np.ndarray
 
 def channel(columns: str, values: np.ndarray, stated: str = "") -> Channel:
     names = COLUMNS[columns]
-    return Channel("imu", "columns", "imu", np.arange(len(values)), {n: values[:, k] for k, n in enumerate(names)}, dict.fromkeys(names, stated))
+    return Channel(
+        "imu",
+        "columns",
+        "imu",
+        np.arange(len(values)),
+        {n: values[:, k] for k, n in enumerate(names)},
+        dict.fromkeys(names, stated),
+    )
 
 
 @pytest.mark.parametrize(("stated", "factor"), [("m/s^2", 1.0), ("g", G), ("mg", G / 1000), ("m*s^-2", 1.0)])
@@ -39,8 +46,19 @@ def test_a_stated_unit_is_converted_in_silence(rng: np.random.Generator, stated:
     assert warnings == []
 
 
-@pytest.mark.parametrize(("stated", "factor", "code"), [("", 1.0, None), ("", G, "unit-guessed"), ("", G / 1000, "unit-guessed"), ("m/s^2", G, "unit-contradicted"), ("g", 1.0, "unit-contradicted")])  # fmt: skip
-def test_gravity_tells_the_unit_of_the_accelerometer(rng: np.random.Generator, stated: str, factor: float, code: str | None) -> None:
+@pytest.mark.parametrize(
+    ("stated", "factor", "code"),
+    [
+        ("", 1.0, None),
+        ("", G, "unit-guessed"),
+        ("", G / 1000, "unit-guessed"),
+        ("m/s^2", G, "unit-contradicted"),
+        ("g", 1.0, "unit-contradicted"),
+    ],
+)
+def test_gravity_tells_the_unit_of_the_accelerometer(
+    rng: np.random.Generator, stated: str, factor: float, code: str | None
+) -> None:
     _, accel = moving(rng)
     warnings: list[Warn] = []
     found = units.accelerometer(channel("accel", accel / factor, stated), COLUMNS["accel"], T, G, warnings)
@@ -51,7 +69,9 @@ def test_gravity_tells_the_unit_of_the_accelerometer(rng: np.random.Generator, s
 def test_the_gravity_of_mars_is_no_wrong_unit(rng: np.random.Generator) -> None:
     warnings: list[Warn] = []
     accel = moving(rng)[1] * (3.72076 / G)
-    np.testing.assert_array_equal(units.accelerometer(channel("accel", accel, "m/s^2"), COLUMNS["accel"], T, 3.72076, warnings), accel)
+    np.testing.assert_array_equal(
+        units.accelerometer(channel("accel", accel, "m/s^2"), COLUMNS["accel"], T, 3.72076, warnings), accel
+    )
     assert warnings == []
 
 
@@ -61,8 +81,20 @@ def test_an_accelerometer_without_gravity_is_refused(rng: np.random.Generator, r
         units.accelerometer(channel("accel", rng.normal(0, rms, (N, 3)), "m/s^2"), COLUMNS["accel"], T, G, [])
 
 
-@pytest.mark.parametrize(("stated", "factor", "code"), [("rad/s", 1.0, None), ("deg/s", np.pi / 180, None), ("", 1.0, None), ("", np.pi / 180, "unit-guessed"), ("rad/s", np.pi / 180, "unit-contradicted"), ("deg/s", 1.0, "unit-contradicted")])  # fmt: skip
-def test_the_turning_of_gravity_tells_degrees_from_radians(rng: np.random.Generator, stated: str, factor: float, code: str | None) -> None:
+@pytest.mark.parametrize(
+    ("stated", "factor", "code"),
+    [
+        ("rad/s", 1.0, None),
+        ("deg/s", np.pi / 180, None),
+        ("", 1.0, None),
+        ("", np.pi / 180, "unit-guessed"),
+        ("rad/s", np.pi / 180, "unit-contradicted"),
+        ("deg/s", 1.0, "unit-contradicted"),
+    ],
+)
+def test_the_turning_of_gravity_tells_degrees_from_radians(
+    rng: np.random.Generator, stated: str, factor: float, code: str | None
+) -> None:
     gyro, accel = moving(rng)
     warnings: list[Warn] = []
     found = units.gyroscope(channel("gyro", gyro / factor, stated), COLUMNS["gyro"], T, accel, warnings)
@@ -82,7 +114,9 @@ def test_at_rest_nothing_is_told_and_radians_are_assumed_aloud(rng: np.random.Ge
     gyro = rng.normal(0.5, 0.1, (N, 3))
     for stated, codes in (("rad/s", []), ("", ["unit-guessed"])):
         warnings: list[Warn] = []
-        np.testing.assert_array_equal(units.gyroscope(channel("gyro", gyro, stated), COLUMNS["gyro"], T, accel, warnings), gyro)
+        np.testing.assert_array_equal(
+            units.gyroscope(channel("gyro", gyro, stated), COLUMNS["gyro"], T, accel, warnings), gyro
+        )
         assert [w.code for w in warnings] == codes
 
 
@@ -91,12 +125,30 @@ def test_a_wheel_that_spins_faster_than_the_windows_tells_nothing(rng: np.random
     accel = G * np.stack([np.cos(angle), np.sin(angle), 0.01 * T], axis=1)
     gyro = np.tile([0.0, 0.0, -20.0], (N, 1)) + rng.normal(0, 0.01, (N, 3))
     warnings: list[Warn] = []
-    np.testing.assert_array_equal(units.gyroscope(channel("gyro", gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings), gyro)
+    np.testing.assert_array_equal(
+        units.gyroscope(channel("gyro", gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings), gyro
+    )
     assert warnings == []
 
 
-@pytest.mark.parametrize(("stated", "factor", "code"), [("T", 1.0, None), ("uT", 1e-6, None), ("Gauss", 1e-4, None), ("mGauss", 1e-7, None), ("nT", 1e-9, None), ("", 1e-6, "unit-guessed"), ("", 1e-4, "unit-guessed"), ("", 1e-7, "unit-guessed"), ("", 1e-9, "unit-guessed"), ("T", 1e-6, "unit-contradicted")])  # fmt: skip
-def test_the_magnetometer_comes_out_in_tesla(rng: np.random.Generator, stated: str, factor: float, code: str | None) -> None:
+@pytest.mark.parametrize(
+    ("stated", "factor", "code"),
+    [
+        ("T", 1.0, None),
+        ("uT", 1e-6, None),
+        ("Gauss", 1e-4, None),
+        ("mGauss", 1e-7, None),
+        ("nT", 1e-9, None),
+        ("", 1e-6, "unit-guessed"),
+        ("", 1e-4, "unit-guessed"),
+        ("", 1e-7, "unit-guessed"),
+        ("", 1e-9, "unit-guessed"),
+        ("T", 1e-6, "unit-contradicted"),
+    ],
+)
+def test_the_magnetometer_comes_out_in_tesla(
+    rng: np.random.Generator, stated: str, factor: float, code: str | None
+) -> None:
     field = np.array([20e-6, 0.0, -43e-6]) + rng.normal(0, 0.3e-6, (100, 3))
     warnings: list[Warn] = []
     found = units.magnetometer(channel("magnetometer", field / factor, stated), COLUMNS["magnetometer"], warnings)
@@ -108,7 +160,9 @@ def test_a_normalised_field_keeps_its_direction(rng: np.random.Generator) -> Non
     field = np.array([0.4, 0.0, -0.9165]) + rng.normal(0, 0.005, (100, 3))
     warnings: list[Warn] = []
     found = units.magnetometer(channel("magnetometer", field), COLUMNS["magnetometer"], warnings)
-    np.testing.assert_allclose(found / np.linalg.norm(found, axis=1)[:, None], field / np.linalg.norm(field, axis=1)[:, None])
+    np.testing.assert_allclose(
+        found / np.linalg.norm(found, axis=1)[:, None], field / np.linalg.norm(field, axis=1)[:, None]
+    )
     assert np.median(np.linalg.norm(found, axis=1)) == pytest.approx(50e-6, rel=0.01)
     assert [w.code for w in warnings] == ["unit-guessed"]
 
@@ -121,5 +175,12 @@ def test_a_unit_of_another_quantity_or_of_no_meaning_is_refused() -> None:
 
 
 def test_a_column_without_a_unit_has_that_of_its_neighbours() -> None:
-    mixed = Channel("imu", "columns", "imu", np.arange(2), {n: np.full(2, 180.0) for n in COLUMNS["gyro"]}, {"gyro_x": "", "gyro_y": "deg/s", "gyro_z": "deg/s"})
+    mixed = Channel(
+        "imu",
+        "columns",
+        "imu",
+        np.arange(2),
+        {n: np.full(2, 180.0) for n in COLUMNS["gyro"]},
+        {"gyro_x": "", "gyro_y": "deg/s", "gyro_z": "deg/s"},
+    )
     np.testing.assert_allclose(units.in_si(mixed, COLUMNS["gyro"], "rad/s").values, np.pi)

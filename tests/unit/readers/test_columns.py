@@ -56,11 +56,27 @@ def test_a_name_is_taken_for_the_right_column(name: str, canonical: str, instanc
 @pytest.mark.parametrize(
     "name",
     [
-        "truth_qw", "truth_px", "b_w_RS_S_x [rad s^-1]", "v_RS_R_x [m s^-1]", "IMU::DeltaTheta::X [deg]", "IMU::DeltaVel::X [m/s]",
-        "IMU::LinearAccel::X", "userAcceleration.x", "gyro_bias_x_rad_s", "sigma_att_x_deg", "angular_velocity_covariance_0",
-        "pose.pose.position.x", "pose.pose.orientation.w", "gps heading", "max", "index", "euler_x", "movement", "",
+        "truth_qw",
+        "truth_px",
+        "b_w_RS_S_x [rad s^-1]",
+        "v_RS_R_x [m s^-1]",
+        "IMU::DeltaTheta::X [deg]",
+        "IMU::DeltaVel::X [m/s]",
+        "IMU::LinearAccel::X",
+        "userAcceleration.x",
+        "gyro_bias_x_rad_s",
+        "sigma_att_x_deg",
+        "angular_velocity_covariance_0",
+        "pose.pose.position.x",
+        "pose.pose.orientation.w",
+        "gps heading",
+        "max",
+        "index",
+        "euler_x",
+        "movement",
+        "",
     ],
-)  # fmt: skip
+)
 def test_what_is_no_measurement_is_left_alone(name: str) -> None:
     assert recognise(0, name) is None
 

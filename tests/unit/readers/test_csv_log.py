@@ -15,6 +15,7 @@ from attest_cli.settings import Settings
 
 HEADER = "timestamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
 ROW = "{ns},0.1,-0.2,0.3,0.01,0.02,9.81"
+UNITS = "ns,rad/s,rad/s,rad/s,m/s^2,m/s^2,m/s^2"
 QUOTED = ROW + ',"a, b"'
 Load = Callable[..., Recording]
 
@@ -30,7 +31,9 @@ def load(tmp_path: Path) -> Load:
 
 
 def rows(count: int = 5, template: str = ROW, separator: str = "\n") -> str:
-    return separator.join(template.format(ns=1_780_308_000_000_000_001 + k * 10_000_000, s=k * 0.01) for k in range(count))
+    return separator.join(
+        template.format(ns=1_780_308_000_000_000_001 + k * 10_000_000, s=k * 0.01) for k in range(count)
+    )
 
 
 def only(recording: Recording) -> tuple[list[int], dict[str, list[float]]]:
@@ -46,7 +49,7 @@ def only(recording: Recording) -> tuple[list[int], dict[str, list[float]]]:
         f"\ufeff{HEADER}\r\n{rows(separator=chr(13) + chr(10))}\r\n",
         f"#{HEADER}\n{rows()}\n",
         f"# made by hand\n# more, with, commas\n{HEADER}\n{rows()}\n",
-        f"Test Name:,Pendulum,,,,,\nSample Rate:,128,Hz,,,,\n{HEADER}\nns,rad/s,rad/s,rad/s,m/s^2,m/s^2,m/s^2\n{rows()}\n",
+        f"Test Name:,Pendulum,,,,,\nSample Rate:,128,Hz,,,,\n{HEADER}\n{UNITS}\n{rows()}\n",
         HEADER.replace(",", ";") + "\n" + rows(template=ROW.replace(",", ";")),
         HEADER.replace(",", ";") + "\n" + rows(template=ROW.replace(",", ";").replace(".", ",")),
         HEADER.replace(",", "\t") + "\n" + rows(template=ROW.replace(",", "\t")),
@@ -55,9 +58,22 @@ def only(recording: Recording) -> tuple[list[int], dict[str, list[float]]]:
         f"{HEADER},note\n{rows(template=QUOTED)}\n",
         f"{HEADER}\n{rows(2)}\n# a remark\n{rows(5).split(chr(10), 2)[2]}\n",
     ],
-    ids=["plain", "no-last-newline", "bom-crlf", "hash-header", "comments", "preamble-and-units", "semicolon", "decimal-comma",
-         "tabs", "quoted-header", "spaces", "quoted-text", "comment-inside"],
-)  # fmt: skip
+    ids=[
+        "plain",
+        "no-last-newline",
+        "bom-crlf",
+        "hash-header",
+        "comments",
+        "preamble-and-units",
+        "semicolon",
+        "decimal-comma",
+        "tabs",
+        "quoted-header",
+        "spaces",
+        "quoted-text",
+        "comment-inside",
+    ],
+)
 def test_every_dialect_gives_the_same_values(load: Load, text: str) -> None:
     stamps, values = only(load(text))
     assert stamps == [1_780_308_000_000_000_001 + k * 10_000_000 for k in range(5)]
@@ -88,7 +104,12 @@ def test_gyro_and_accelerometer_in_rows_of_their_own_are_two_channels(load: Load
 
 
 def test_two_imus_in_one_table_stay_apart(load: Load) -> None:
-    names = [f"{side}/{what}/{axis}" for side in ("Left", "Right") for what in ("Acceleration", "Angular Velocity") for axis in "XYZ"]
+    names = [
+        f"{side}/{what}/{axis}"
+        for side in ("Left", "Right")
+        for what in ("Acceleration", "Angular Velocity")
+        for axis in "XYZ"
+    ]
     recording = load(f"Time (s),{','.join(names)}\n0,{','.join('123456789012')}\n0.01,{','.join('123456789012')}\n")
     assert [channel.name for channel in recording.channels] == ["left/imu", "right/imu"]
     assert recording.channels[1].values["accel_x"][0] == 7.0
@@ -124,7 +145,10 @@ def test_rows_without_a_time_are_dropped_and_said(load: Load) -> None:
 
 def test_dates_are_stamps(load: Load) -> None:
     lines = "\n".join(f"2026-06-01T10:00:00.{k:03d}Z,1,2,3,0,0,9.8" for k in range(0, 50, 10))
-    assert only(load(f"time,gx,gy,gz,ax,ay,az\n{lines}"))[0][:2] == [1_780_308_000_000_000_000, 1_780_308_000_010_000_000]
+    assert only(load(f"time,gx,gy,gz,ax,ay,az\n{lines}"))[0][:2] == [
+        1_780_308_000_000_000_000,
+        1_780_308_000_010_000_000,
+    ]
 
 
 @pytest.mark.parametrize(

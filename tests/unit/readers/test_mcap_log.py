@@ -30,7 +30,9 @@ def imu(k: int, **more: Any) -> dict[str, Any]:
     return {"angular_velocity": xyz(0.1 * k, 0.2, 0.3), "linear_acceleration": xyz(0.0, 0.0, 9.81), **more}
 
 
-def write(path: Path, messages: list[Sent], compression: CompressionType = CompressionType.ZSTD, delay_ns: int = 0) -> Path:
+def write(
+    path: Path, messages: list[Sent], compression: CompressionType = CompressionType.ZSTD, delay_ns: int = 0
+) -> Path:
     with path.open("wb") as stream, Writer(stream, compression=compression, chunk_size=2000) as out:
         schemas: dict[str, Any] = {}
         for k, (topic, kind, stamp, fields) in enumerate(messages):
@@ -38,7 +40,9 @@ def write(path: Path, messages: list[Sent], compression: CompressionType = Compr
                 schemas[kind] = out.register_msgdef(kind.replace("/", "/msg/"), definition(kind))
             stamp_ns = T0 + k * 10_000_000 if stamp is None else stamp
             header = {"stamp": {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}, "frame_id": "imu_link"}
-            out.write_message(topic, schemas[kind], {"header": header, **fields}, log_time=T0 + k * 10_000_000 + delay_ns)
+            out.write_message(
+                topic, schemas[kind], {"header": header, **fields}, log_time=T0 + k * 10_000_000 + delay_ns
+            )
     return path
 
 
@@ -51,7 +55,9 @@ def by_name(recording: Recording) -> dict[str, Channel]:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_values_and_stamps_are_read_exactly_under_every_compression(tmp_path: Path, compression: CompressionType) -> None:
+def test_values_and_stamps_are_read_exactly_under_every_compression(
+    tmp_path: Path, compression: CompressionType
+) -> None:
     recording = read(write(tmp_path / "log.mcap", imus(), compression), Settings())
     channel = by_name(recording)["/imu/data"]
     assert channel.role == "imu"
@@ -69,19 +75,40 @@ def test_every_type_plays_its_role(tmp_path: Path) -> None:
         ("/wind", vector, None, {"vector": xyz(1.0, 2.0, 3.0)}),
         ("/imu/mag", "sensor_msgs/MagneticField", None, {"magnetic_field": xyz(2e-5, 0.0, -4e-5)}),
         ("/orientation", "geometry_msgs/QuaternionStamped", None, {"quaternion": {"w": 1.0, **xyz(0, 0, 0)}}),
-        ("/odom", "nav_msgs/Odometry", None, {"twist": {"twist": {"linear": xyz(0.3, 0, 0)}, "covariance": [0.04, *[0.0] * 6, 1e6]}}),
+        (
+            "/odom",
+            "nav_msgs/Odometry",
+            None,
+            {"twist": {"twist": {"linear": xyz(0.3, 0, 0)}, "covariance": [0.04, *[0.0] * 6, 1e6]}},
+        ),
         ("/vel", "geometry_msgs/TwistStamped", None, {"twist": {"linear": xyz(0.3, 0, 0)}}),
-        ("/fix", "sensor_msgs/NavSatFix", None, {"latitude": 46.5, "position_covariance": [4.0, *[0.0] * 3, 4.0, *[0.0] * 3, 9.0], "position_covariance_type": 2}),
+        (
+            "/fix",
+            "sensor_msgs/NavSatFix",
+            None,
+            {
+                "latitude": 46.5,
+                "position_covariance": [4.0, *[0.0] * 3, 4.0, *[0.0] * 3, 9.0],
+                "position_covariance_type": 2,
+            },
+        ),
         ("/fix", "sensor_msgs/NavSatFix", None, {"latitude": 0.0, "status": {"status": -1}}),
         ("/position", "geometry_msgs/PointStamped", None, {"point": xyz(1.0, 2.0, 3.0)}),
         ("/imu/temperature", "sensor_msgs/Temperature", None, {"temperature": 21.5}),
-    ]  # fmt: skip
+    ]
     sent = [item for item in sent if item[1] != "geometry_msgs/TwistStamped"]
     found = by_name(read(write(tmp_path / "log.mcap", sent), Settings()))
     assert {name: channel.role for name, channel in found.items()} == {
-        "/sun": "sun", "/compass": "compass", "/wind": "", "/imu/mag": "magnetometer", "/orientation": "orientation",
-        "/odom": "odometry", "/fix": "gps", "/position": "position", "/imu/temperature": "temperature",
-    }  # fmt: skip
+        "/sun": "sun",
+        "/compass": "compass",
+        "/wind": "",
+        "/imu/mag": "magnetometer",
+        "/orientation": "orientation",
+        "/odom": "odometry",
+        "/fix": "gps",
+        "/position": "position",
+        "/imu/temperature": "temperature",
+    }
     assert found["/compass"].values["compass_deg"].tolist() == [90.0]
     assert found["/imu/mag"].units["mag_x"] == "T"
     assert found["/fix"].values["gps_sigma_m"][0] == 2.0
@@ -94,7 +121,12 @@ def test_every_type_plays_its_role(tmp_path: Path) -> None:
 
 def test_rep_145_not_provided_is_not_zero(tmp_path: Path) -> None:
     none = [-1.0, *[0.0] * 8]
-    found = by_name(read(write(tmp_path / "log.mcap", imus(linear_acceleration_covariance=none, orientation_covariance=none)), Settings()))
+    found = by_name(
+        read(
+            write(tmp_path / "log.mcap", imus(linear_acceleration_covariance=none, orientation_covariance=none)),
+            Settings(),
+        )
+    )
     assert list(found) == ["/imu/data"]
     assert found["/imu/data"].role == "gyro"
 
@@ -191,7 +223,9 @@ def test_messages_that_are_not_of_their_type_are_refused(tmp_path: Path) -> None
         read(path, Settings())
 
 
-@pytest.mark.parametrize(("encoding", "schema"), [("json", "jsonschema"), ("ros1", "ros1msg"), ("protobuf", "protobuf")])
+@pytest.mark.parametrize(
+    ("encoding", "schema"), [("json", "jsonschema"), ("ros1", "ros1msg"), ("protobuf", "protobuf")]
+)
 def test_a_log_without_usable_channels_names_what_was_found(tmp_path: Path, encoding: str, schema: str) -> None:
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:
@@ -208,7 +242,7 @@ def test_a_log_without_usable_channels_names_what_was_found(tmp_path: Path, enco
 def test_damage_anywhere_is_one_plain_line(tmp_path: Path, compression: CompressionType) -> None:
     whole = write(tmp_path / "log.mcap", imus(200), compression).read_bytes()
     expected = by_name(read(tmp_path / "log.mcap", Settings()))["/imu/data"].values["gyro_x"]
-    path, rng, refused = tmp_path / "bad.mcap", np.random.default_rng(5), 0
+    path, rng, refused = tmp_path / "bad.mcap", np.random.default_rng(5), []
     for _ in range(60):
         data = bytearray(whole)
         if rng.random() < 0.5:
@@ -219,12 +253,11 @@ def test_damage_anywhere_is_one_plain_line(tmp_path: Path, compression: Compress
         try:
             found = by_name(read(path, Settings()))["/imu/data"].values["gyro_x"]
         except AttestError as error:
-            refused += 1
-            assert "bad.mcap" in error.message
-            assert "\n" not in error.message
+            refused.append(str(error))
         else:  # damage to the index or the statistics loses nothing
             np.testing.assert_array_equal(found, expected)
-    assert refused > 20
+    assert len(refused) > 20
+    assert all("bad.mcap" in line and "\n" not in line for line in refused)
 
 
 def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused_early(tmp_path: Path) -> None:

@@ -51,7 +51,9 @@ def test_nulls_are_blank_and_integers_and_strings_of_numbers_are_values(tmp_path
 
 def test_units_come_from_the_metadata_of_a_field(tmp_path: Path) -> None:
     names = ["t", "gx", "gy", "gz"]
-    fields = [pa.field(name, pa.float64(), metadata={"unit": "deg/s"} if name != "t" else {"unit": "s"}) for name in names]
+    fields = [
+        pa.field(name, pa.float64(), metadata={"unit": "deg/s"} if name != "t" else {"unit": "s"}) for name in names
+    ]
     arrays = [pa.array(np.arange(10) * 0.01), *[pa.array(np.ones(10))] * 3]
     pq.write_table(pa.table(arrays, schema=pa.schema(fields)), tmp_path / "log.parquet")
     assert read(tmp_path / "log.parquet", Settings()).channels[0].units["gyro_x"] == "deg/s"
@@ -69,7 +71,10 @@ def test_a_cut_or_flipped_file_is_refused(tmp_path: Path, where: float) -> None:
 
 def test_a_flipped_bit_in_a_page_is_found_by_its_checksum(tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
-    columns = {"timestamp_ns": np.arange(1000), **{name: np.random.default_rng(7).normal(value, 1, 1000) for name, value in IMU.items()}}
+    columns = {
+        "timestamp_ns": np.arange(1000),
+        **{name: np.random.default_rng(7).normal(value, 1, 1000) for name, value in IMU.items()},
+    }
     pq.write_table(pa.table(columns), path, write_page_checksum=True, use_dictionary=False, compression="none")
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0x10
@@ -82,7 +87,11 @@ def test_an_empty_table_and_text_for_numbers_are_refused(tmp_path: Path) -> None
     with pytest.raises(AttestError, match="no rows"):
         load(tmp_path / "a.parquet", np.arange(0) * 0.01, n=0)
     with pytest.raises(AttestError, match="mag_x"):
-        load(tmp_path / "b.parquet", np.arange(50) * 0.01, **dict.fromkeys(("mag_x", "mag_y", "mag_z"), pa.array(["red"] * 50)))
+        load(
+            tmp_path / "b.parquet",
+            np.arange(50) * 0.01,
+            **dict.fromkeys(("mag_x", "mag_y", "mag_z"), pa.array(["red"] * 50)),
+        )
 
 
 def test_the_limit_counts_rows_and_columns_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from attest_cli.settings import Settings
 
 
 @pytest.fixture
-def load(shared_data: Path):  # noqa: ANN201 (a function)
+def load(shared_data: Path):
     def of(name: str, *codes: str) -> tuple[Recording, Log]:
         path = shared_data / name
         if not path.is_file():
@@ -28,7 +28,7 @@ def load(shared_data: Path):  # noqa: ANN201 (a function)
     return of
 
 
-def test_husky(load) -> None:  # noqa: ANN001
+def test_husky(load) -> None:
     recording, log = load("logs/derived_mcap/test1_ros2_zstd.mcap")
     counts = {channel.name: (channel.role, channel.stamps_ns.size) for channel in recording.channels}
     assert counts == {
@@ -45,7 +45,7 @@ def test_husky(load) -> None:  # noqa: ANN001
     assert set(log.fixes) == {"odometry", "gps"}  # the orientation is not used unless mapped
 
 
-def test_phidgets_upside_down(load) -> None:  # noqa: ANN001
+def test_phidgets_upside_down(load) -> None:
     recording, log = load("logs/derived_mcap/phidgets_imu_upside_down_ros2_zstd.mcap", "magnetometer-dropped")
     assert [channel.role for channel in recording.channels] == ["imu", "magnetometer"]  # the zero quaternions are none
     assert log.imu.t.size == 13964
@@ -53,21 +53,23 @@ def test_phidgets_upside_down(load) -> None:  # noqa: ANN001
     assert log.fixes["magnetometer"].t.size == 13964 - 6990  # NaN in half of the rows
 
 
-def test_two_mcap_in_one_process_decode_right(load) -> None:  # noqa: ANN001
+def test_two_mcap_in_one_process_decode_right(load) -> None:
     load("logs/derived_mcap/phidgets_imu_upside_down_ros2_zstd.mcap", "magnetometer-dropped")
     _, log = load("logs/derived_mcap/test1_ros2_zstd.mcap")
     assert np.nanmax(np.abs(log.fixes["odometry"].values[:, 0])) < 2.0
 
 
-@pytest.mark.parametrize(("name", "rows"), [("kimera_microeuroc_imu0_data.csv", 29120), ("kimera_real_imu0_data.csv", 7999)])
-def test_euroc(load, name: str, rows: int) -> None:  # noqa: ANN001
+@pytest.mark.parametrize(
+    ("name", "rows"), [("kimera_microeuroc_imu0_data.csv", 29120), ("kimera_real_imu0_data.csv", 7999)]
+)
+def test_euroc(load, name: str, rows: int) -> None:
     _, log = load(f"logs/euroc_asl/{name}")
     assert log.imu.t.size == rows
     assert log.t0_ns in {1_403_715_273_262_142_976, 1_403_715_523_912_140_000}
     assert np.median(np.linalg.norm(log.imu.accel_b, axis=1)) == pytest.approx(9.81, abs=0.1)
 
 
-def test_xio(load) -> None:  # noqa: ANN001
+def test_xio(load) -> None:
     recording, log = load("logs/xio_fusion/sensor_data.csv")
     assert recording.channels[0].units["gyro_x"] == "deg/s"
     assert log.imu.gyro_b[0, 0] == pytest.approx(np.radians(0.01644619))
@@ -75,7 +77,7 @@ def test_xio(load) -> None:  # noqa: ANN001
     assert np.linalg.norm(log.fixes["magnetometer"].values[0]) == pytest.approx(43.8e-6, rel=0.01)
 
 
-def test_vectornav(load) -> None:  # noqa: ANN001
+def test_vectornav(load) -> None:
     recording, log = load("logs/vectornav/vn310-imu.csv", "several-channels")
     assert [channel.name for channel in recording.channels if channel.role == "imu"] == ["imu", "uncomp/imu"]
     assert log.imu.gyro_b[0, 0] == pytest.approx(-0.00048612026)  # the column without a unit has that of its neighbours
@@ -83,19 +85,24 @@ def test_vectornav(load) -> None:  # noqa: ANN001
     assert log.fixes["magnetometer"].values[0, 2] == pytest.approx(0.21280421e-4)
 
 
-def test_apdm(load) -> None:  # noqa: ANN001
+def test_apdm(load) -> None:
     recording, _ = load("logs/apdm/imuData01.csv", "several-channels")
-    assert [c.name for c in recording.channels if c.role == "imu"] == ["static/imu", "upper/imu", "middle/imu", "lower/imu"]
+    assert [c.name for c in recording.channels if c.role == "imu"] == [
+        "static/imu",
+        "upper/imu",
+        "middle/imu",
+        "lower/imu",
+    ]
 
 
-def test_broad(load) -> None:  # noqa: ANN001
+def test_broad(load) -> None:
     recording, log = load("broad/03_undisturbed_slow_rotation_C.parquet")
     assert {channel.role for channel in recording.channels} == {"imu", "magnetometer"}  # the truth is no measurement
     assert log.imu.t.size == 58412
     assert "truth_qw" in recording.other
 
 
-def test_a_table_that_repeats_its_gps_between_fixes_gives_the_fixes_only(load) -> None:  # noqa: ANN001
+def test_a_table_that_repeats_its_gps_between_fixes_gives_the_fixes_only(load) -> None:
     _, log = load("wid/trial02_GNSS.parquet", "unit-guessed", "stale-repeats")
     assert log.fixes["gps"].t.size < 1000 < log.imu.t.size
 

@@ -21,9 +21,15 @@ SEGMENTS = [
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "report.json").write_text(json.dumps({"verdict": "PASS", "checks": []}))
-    passes = {"timestamp_ns": np.array([1, 2]), "smoothed_covariance": np.arange(42.0).reshape(2, 21), "moving": np.array([True, False])}
+    passes = {
+        "timestamp_ns": np.array([1, 2]),
+        "smoothed_covariance": np.arange(42.0).reshape(2, 21),
+        "moving": np.array([True, False]),
+    }
     write_table(passes, tmp_path / "passes.parquet")
-    write_table({"sensor": np.array(["sun", "gravity"]), "nis": np.array([1.0, np.nan])}, tmp_path / "innovations.parquet")
+    write_table(
+        {"sensor": np.array(["sun", "gravity"]), "nis": np.array([1.0, np.nan])}, tmp_path / "innovations.parquet"
+    )
     write_csv_rows(SEGMENTS, tmp_path / "segments.csv")
     return tmp_path
 

@@ -29,9 +29,14 @@ def test_the_name_appears_only_when_all_is_written(tmp_path: Path) -> None:
 def test_an_interrupt_leaves_the_old_file_and_nothing_else(tmp_path: Path, error: type[BaseException]) -> None:
     path = tmp_path / "track.csv"
     path.write_text("old")
-    with pytest.raises(error), atomic_write(path) as temporary:
-        temporary.write_text("half")
-        raise error
+
+    def interrupted() -> None:
+        with atomic_write(path) as temporary:
+            temporary.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        interrupted()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -98,14 +103,19 @@ def test_an_empty_folder_is_free_and_a_filled_one_is_not(tmp_path: Path) -> None
 
 
 def test_a_folder_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)  # root may write anywhere
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path) != tmp_path)  # root may write anywhere
     with pytest.raises(AttestError, match="cannot be written to"):
         check_output(tmp_path / "new" / "deep")
 
 
 def test_tables_hold_numbers_lists_text_and_metadata(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
-    columns = {"n": np.arange(3), "f": np.array([0.1, np.nan, 3e-300]), "c": np.arange(6.0).reshape(3, 2), "s": np.array(["a", "ü", ""])}
+    columns = {
+        "n": np.arange(3),
+        "f": np.array([0.1, np.nan, 3e-300]),
+        "c": np.arange(6.0).reshape(3, 2),
+        "s": np.array(["a", "ü", ""]),
+    }
     write_table(columns, path, {"frame": "enu"})
     table = pq.read_table(path)
     assert table.column("n").to_pylist() == [0, 1, 2]
@@ -120,7 +130,10 @@ def test_tables_hold_numbers_lists_text_and_metadata(tmp_path: Path) -> None:
 
 def test_cells_are_exact_blank_or_harmless(tmp_path: Path) -> None:
     path = tmp_path / "s.csv"
-    rows = [{"a": 0.1 + 0.2, "b": None, "c": "=1+1", "d": np.int64(7)}, {"a": float("nan"), "b": -1.5, "c": "a,b", "d": True}]
+    rows = [
+        {"a": 0.1 + 0.2, "b": None, "c": "=1+1", "d": np.int64(7)},
+        {"a": float("nan"), "b": -1.5, "c": "a,b", "d": True},
+    ]
     write_csv_rows(rows, path)
     assert path.read_text() == 'a,b,c,d\n0.30000000000000004,,\'=1+1,7\n,-1.5,"a,b",true\n'
     write_csv_rows([], path, columns=["a", "b"])

@@ -32,14 +32,37 @@ def recording(rng: np.random.Generator) -> Recording:
     channels = (
         channel("imu", n, 10_000_000, imu, {k: "rad/s" if "gyro" in k else "m/s^2" for k in imu}),
         channel("sun", 5, 700_000_001, {"sun_x": sun[:, 0], "sun_y": sun[:, 1]}, {}),
-        channel("magnetometer", 100, 40_000_000, {k: rng.normal(30, 1, 100) for k in COLUMNS["magnetometer"]}, dict.fromkeys(COLUMNS["magnetometer"], "uT")),
+        channel(
+            "magnetometer",
+            100,
+            40_000_000,
+            {k: rng.normal(30, 1, 100) for k in COLUMNS["magnetometer"]},
+            dict.fromkeys(COLUMNS["magnetometer"], "uT"),
+        ),
         channel("compass", 20, 200_000_000, {"compass_deg": rng.uniform(0, 360, 20)}, {"compass_deg": "deg"}),
         channel("orientation", 4, 900_000_000, {k: q[:, j] for j, k in enumerate(COLUMNS["orientation"])}, {}),
         channel("odometry", 40, 100_000_000, {"speed": rng.normal(0.3, 0.01, 40)}, {"speed": "m/s"}),
-        channel("gps", 3, 1_300_000_000, {"latitude": np.array([46.5, 46.500001, 46.500002]), "longitude": np.array([6.6, 6.6, 6.60001]), "altitude": np.array([400.1, 400.2, 400.3]), "gps_sigma_m": np.array([1.5, 2.0, 2.5])}, {"latitude": "deg", "longitude": "deg", "altitude": "m", "gps_sigma_m": "m"}),
-        channel("position", 3, 1_300_000_000, {k: rng.normal(size=3) for k in COLUMNS["position"]}, dict.fromkeys(COLUMNS["position"], "m")),
+        channel(
+            "gps",
+            3,
+            1_300_000_000,
+            {
+                "latitude": np.array([46.5, 46.500001, 46.500002]),
+                "longitude": np.array([6.6, 6.6, 6.60001]),
+                "altitude": np.array([400.1, 400.2, 400.3]),
+                "gps_sigma_m": np.array([1.5, 2.0, 2.5]),
+            },
+            {"latitude": "deg", "longitude": "deg", "altitude": "m", "gps_sigma_m": "m"},
+        ),
+        channel(
+            "position",
+            3,
+            1_300_000_000,
+            {k: rng.normal(size=3) for k in COLUMNS["position"]},
+            dict.fromkeys(COLUMNS["position"], "m"),
+        ),
         channel("temperature", 4, 900_000_000, {"temperature_c": rng.normal(21, 1, 4)}, {"temperature_c": "degC"}),
-    )  # fmt: skip
+    )
     return Recording(Path("made.csv"), "csv", channels, n)
 
 
@@ -100,7 +123,9 @@ def test_units_are_stated_or_converted(tmp_path: Path, recording: Recording, for
 
 
 @pytest.mark.parametrize("format_name", FORMATS)
-def test_a_second_imu_and_the_orientation_of_a_device_stay_themselves(tmp_path: Path, recording: Recording, format_name: str) -> None:
+def test_a_second_imu_and_the_orientation_of_a_device_stay_themselves(
+    tmp_path: Path, recording: Recording, format_name: str
+) -> None:
     imu = recording.channels[0]
     other = Channel("/rear/imu", "test", "imu", imu.stamps_ns, {k: v + 1.0 for k, v in imu.values.items()}, imu.units)
     q = {"q_w": np.full(400, 0.6), "q_x": np.zeros(400), "q_y": np.zeros(400), "q_z": np.full(400, 0.8)}

@@ -52,7 +52,12 @@ def test_csv_is_exact_and_opens_with_pandas(tmp_path: Path, track: dict[str, Any
     track["position_x_m"][3] = np.nan
     write_track(track, META, tmp_path / "track.csv", "csv")
     lines = (tmp_path / "track.csv").read_text().splitlines()
-    assert lines[:4] == ["# frame: enu", "# convention: Hamilton, body to world", "# attest_version: 0 # evil: 1", ",".join(track)]
+    assert lines[:4] == [
+        "# frame: enu",
+        "# convention: Hamilton, body to world",
+        "# attest_version: 0 # evil: 1",
+        ",".join(track),
+    ]
     rows = list(csv.DictReader(lines[3:]))
     assert [int(row["timestamp_ns"]) for row in rows] == track["timestamp_ns"].tolist()
     assert [float(row["q_w"]) for row in rows] == track["q_w"].tolist()
@@ -79,7 +84,7 @@ def test_tum_without_position_says_so(tmp_path: Path, track: dict[str, Any]) -> 
     write_track(track, META, tmp_path / "track.tum", "tum")
     text = (tmp_path / "track.tum").read_text().splitlines()
     assert "# no position: tx ty tz are zero" in text
-    assert [line for line in text if not line.startswith("#")][0].startswith("-0.000000005 0 0 0 ")
+    assert next(line for line in text if not line.startswith("#")).startswith("-0.000000005 0 0 0 ")
 
 
 def test_mcap_holds_pose_covariance_and_body_velocity(tmp_path: Path, track: dict[str, Any]) -> None:
