@@ -129,7 +129,7 @@ def smooth(
     overwrite: Overwrite = False,
     formats: Annotated[
         str | None,
-        typer.Option("--format", metavar="F,F", help="Of the track: parquet, csv, tum.", rich_help_panel=_OUTPUT),
+        typer.Option("--format", metavar="F,F", help="Of the track: parquet, csv, tum, mcap.", rich_help_panel=_OUTPUT),
     ] = None,
     frame: Annotated[
         Literal["enu", "ned"] | None,

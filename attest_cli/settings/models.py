@@ -328,7 +328,7 @@ class Time(Section):
 class Output(Section):
     """Files and pictures."""
 
-    formats: Annotated[tuple[Literal["parquet", "csv", "tum"], ...], BeforeValidator(_formats)] = Field(
+    formats: Annotated[tuple[Literal["parquet", "csv", "tum", "mcap"], ...], BeforeValidator(_formats)] = Field(
         ("parquet",), description="formats of the track"
     )
     theme: Literal["light", "dark"] = Field("light", description="colours of the pages")

@@ -112,7 +112,7 @@ def test_the_command_line_beats_config_beats_the_file_beside_the_log_beats_the_d
         ("[world]\nlatitude_deg = 46", "latitude_deg and longitude_deg belong together"),
         ("[sun]\ncomponents = 4", "sun.components = 4 is not one of 2, 3"),
         ("[time]\nstart_s = 5\nend_s = 3", "end_s = 3 is not after start_s = 5"),
-        ('[output]\nformats = ["xml"]', "output.formats = 'xml' is not one of parquet, csv, tum"),
+        ('[output]\nformats = ["xml"]', "output.formats = 'xml' is not one of parquet, csv, tum, mcap"),
         ('[map]\nsunn = "/sun"', "unknown role 'sunn' in map; did you mean 'sun'?"),
         ('[sun]\nchannel = "/a"\n[map]\nsun = "/b"', "sun.channel is '/a' but map.sun is '/b'; keep one of them"),
         ("stops = 3", "stops should be a table"),

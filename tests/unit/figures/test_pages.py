@@ -43,7 +43,6 @@ ODD = {
     "sigma zero": {"durations": SHORT, "zero_sigma": True},
     "one node": {"durations": (0.04,)},
     "starts in motion": {"durations": (50.0, 20.0, 60.0), "starts_with_stop": False},
-    "ned": {"durations": SHORT, "frame": "ned"},
     "sigma too small": {"growth": 0.25, "step": 0.5},
     "long name": {"durations": SHORT, "name": "\u202e$x_1$ \\frac{" + "n" * 140},
 }
@@ -308,8 +307,7 @@ def test_plan_has_equal_scales_and_north_is_up(make):
     assert len(plan_view.stop_places(drive, plan_view.plan_of(drive))) == 7
     assert "N" in texts(page)
     assert "N" not in texts(plan.draw(make(**ODD["no heading"])))
-    ned = Drive(make(**ODD["ned"]))
-    np.testing.assert_array_equal(plan_view.plan_of(ned).up, ned.column("position_x_m"))
+    np.testing.assert_array_equal(plan_view.plan_of(drive).up, drive.column("position_y_m"))
 
 
 def test_ellipse_is_the_95_percent_contour(make):
