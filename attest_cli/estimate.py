@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from . import mounting, position
 from .errors import AttestError
@@ -26,6 +27,8 @@ from .world import find_world
 
 Progress = Callable[[str, float], None]
 AUTO_PASSES = 6
+MOST_RAISES = 6  # of the gyro's noise in motion
+SURE = 1e-4  # chance of a misfit taken as proof
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
 
@@ -55,10 +58,44 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     nodes = build_nodes(log, segmentation, observations, noise, settings)
     start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=world.field_n is None)
     progress("forward filter", 0.3)
-    forward = indirect.run(nodes, start, settings.smoothing.gate_probability)
+    nodes, forward, raised = consistent_run(nodes, start, settings.smoothing.gate_probability)
     progress("smoothing", 0.5)
     smoothed = smooth_run(nodes, start, forward, settings)
-    return Estimate(world, noise, nodes, forward, smoothed, tuple(warnings) + _heading_warnings(forward))
+    told = (*warnings, *raised, *_heading_warnings(forward))
+    return Estimate(world, noise, nodes, forward, smoothed, told)
+
+
+def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, FilterRun, list[Warn]]:
+    """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows,
+    raise the gyro's variance until it fits.
+
+    Gravity at a stop that follows a motion is the one measurement that cannot be an outlier: rejecting it would keep a
+    wrong attitude with a small sigma. Its mean NIS over the motions is the factor.
+    """
+    raised = 1.0
+    for _ in range(MOST_RAISES):
+        forward = indirect.run(nodes, start, gate)
+        found = forward.innovations
+        after = (found.role == "gravity") & (found.t > found.t[found.role == "gravity"].min(initial=np.inf))
+        freedom = int(found.dof[after].sum())
+        if freedom == 0 or found.nis[after].sum() <= chdtri(freedom, SURE):
+            break
+        factor = float(found.nis[after].sum()) / freedom
+        nodes, raised = nodes.raised(factor), raised * factor
+    if raised == 1.0:
+        return nodes, forward, []
+    hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
+    return (
+        nodes,
+        forward,
+        [
+            Warn(
+                "gyro-noise-raised",
+                f"the gyro drifts {np.sqrt(raised):.2g} times its noise in motion: sigma raised to fit",
+                hint,
+            )
+        ],
+    )
 
 
 def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Settings) -> Smoothed:

@@ -72,7 +72,7 @@ def _blocks(rate: Array, dt: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def assemble(
-    theta: Array, psi: Array, q11: Array, q12: Array, span: Array, n_r: float, n_w: float
+    theta: Array, psi: Array, q11: Array, q12: Array, span: Array, n_r: float | Array, n_w: float
 ) -> tuple[Array, Array]:
     """Return ``Phi``, ``Q`` (n, 6, 6) from component-first blocks (``q11``, ``q12`` per unit bias-walk density)."""
     n = span.shape[0]
@@ -162,14 +162,14 @@ class Increments:
         return rotation.multiply(self.dq[lo:hi], small), Phi
 
 
-def preintegrate(steps: Steps, bias_ref: Array, n_r: float, n_w: float) -> Increments:
+def preintegrate(steps: Steps, bias_ref: Array, n_r: float | Array, n_w: float) -> Increments:
     """Compose the IMU steps of every node interval: relative rotation, bias Jacobian, ``Phi`` and ``Q``, exactly.
 
     Parameters
     ----------
     steps : the IMU, grouped by interval (m intervals; an interval without steps gives the identity and no noise)
     bias_ref : (m, 3) rad/s, the gyro bias removed in each interval
-    n_r, n_w : as in :func:`transition`
+    n_r : one for all, or one per interval (m,); n_r, n_w as in :func:`transition`
 
     Notes
     -----

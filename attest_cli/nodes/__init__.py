@@ -17,12 +17,13 @@ from ..records import Array, Bools, Imu, Ints, Log, Segmentation
 from ..sensors import Measurement
 from ..sensors.zero_rate import ZeroRate
 from ..settings import Settings
-from .noise import Noise, reference_bias
+from .noise import Noise, motion_density, reference_bias
 from .observations import Observation
 
 STOP_NODE_S = 1.0  # nodes of a stop: its attitude is frozen, only the bias walks
 FROZEN_DENSITY = 1e-7  # rad/sqrt(s): keeps the covariance of a frozen attitude regular
 SAME_TIME_S = 1e-6
+RATE_WINDOW_S = 1.0  # the rate that a scale error acts on is its mean over this
 GAP_MARGIN = 2.0  # a hole is as lively as the drive, twice over
 
 __all__ = ["Nodes", "build_nodes"]
@@ -47,12 +48,24 @@ class Nodes:
     sample_step: Ints
     measured: Ints
     measurements: tuple[tuple[Measurement, ...], ...]
+    density: Array
     noise: Noise
 
     def rebuild(self, bias: Array) -> Nodes:
         """Return the nodes preintegrated again at ``bias`` (n, 3), rad/s: exact where the estimate moved far."""
-        increments = _increments(self.steps, 0.5 * (bias[1:] + bias[:-1]), self.frozen, self.gap, self.noise)
+        increments = _increments(
+            self.steps, 0.5 * (bias[1:] + bias[:-1]), self.frozen, self.gap, self.density, self.noise
+        )
         return replace(self, increments=increments)
+
+    def raised(self, factor: float) -> Nodes:
+        """Return the nodes with the gyro's variance in motion raised by ``factor``; white noise adds ``n_r span`` to
+        ``Q``.
+        """
+        more = np.where(self.frozen | self.gap, 0.0, (factor - 1.0) * self.density * self.increments.span)
+        Q = self.increments.Q.copy()
+        Q[:, :3, :3] += more[:, None, None] * np.eye(3)
+        return replace(self, density=factor * self.density, increments=replace(self.increments, Q=Q))
 
 
 def build_nodes(
@@ -69,21 +82,32 @@ def build_nodes(
     middle = 0.5 * (t[1:] + t[:-1])
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
     steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
-    increments = _increments(steps, reference_bias(log, segmentation, middle), frozen, gap, noise)
-    by_node: dict[int, list[Measurement]] = {}
-    for o in observations:
-        node = int(np.argmin(np.abs(t[max(0, (i := int(np.searchsorted(t, o.t))) - 1) : i + 1] - o.t)) + max(0, i - 1))
-        turn = (
-            None
-            if (o.still and settings.smoothing.zero_rate) or np.all(np.abs(o.times - t[node]) < SAME_TIME_S)
-            else _turns(imu, o.times, t[node], segmentation)
-        )
-        by_node.setdefault(node, []).append(Measurement(o.role, o.sensor, node, o.t, o.values, o.noise, turn))
+    bias = reference_bias(log, segmentation, middle)
+    density = motion_density(noise, _mean_rate(imu, middle) - bias)
+    increments = _increments(steps, bias, frozen, gap, density, noise)
+    by_node = _assign(imu, observations, t, segmentation, settings.smoothing.zero_rate)
     for m in _zero_rates(imu, t, frozen, noise):
         by_node.setdefault(m.node, []).append(m)
     measured = np.array(sorted(by_node), dtype=np.int64)
     groups = tuple(tuple(by_node[k]) for k in measured.tolist())
-    return Nodes(t, ~_inside(t, stops), frozen, gap, steps, increments, sample_step, measured, groups, noise)
+    return Nodes(t, ~_inside(t, stops), frozen, gap, steps, increments, sample_step, measured, groups, density, noise)
+
+
+def _assign(
+    imu: Imu, observations: list[Observation], t: Array, segmentation: Segmentation, frozen_stops: bool
+) -> dict[int, list[Measurement]]:
+    """Hand every observation to its node; samples of a moving sensor keep the turn between."""
+    out: dict[int, list[Measurement]] = {}
+    at = np.array([o.t for o in observations])
+    after = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
+    nearest = np.where(
+        at - t[after - 1] < t[np.minimum(after, len(t) - 1)] - at, after - 1, np.minimum(after, len(t) - 1)
+    )
+    for o, node in zip(observations, nearest.tolist(), strict=True):
+        here = (o.still and frozen_stops) or bool(np.all(np.abs(o.times - t[node]) < SAME_TIME_S))
+        turn = None if here else _turns(imu, o.times, t[node], segmentation)
+        out.setdefault(node, []).append(Measurement(o.role, o.sensor, node, o.t, o.values, o.noise, turn))
+    return out
 
 
 def _grid(
@@ -131,9 +155,9 @@ def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
     return Steps(np.diff(grid), rate0, rate1, first), sample[1:] - 1
 
 
-def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, noise: Noise) -> Increments:
+def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, density: Array, noise: Noise) -> Increments:
     """Preintegrate; freeze the attitude at stops and let it go in gaps."""
-    inc = preintegrate(steps, bias, noise.n_r, noise.n_w)
+    inc = preintegrate(steps, bias, density, noise.n_w)
     eye = np.eye(3)
     held = frozen | gap
     inc.dq[held] = [1.0, 0.0, 0.0, 0.0]
@@ -147,6 +171,14 @@ def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, noise: Noi
         turned = np.minimum(GAP_MARGIN * max(float(lively), 0.05) * inc.span[gap], np.pi)
         inc.Q[gap, :3, :3] = (turned**2)[:, None, None] * eye
     return inc
+
+
+def _mean_rate(imu: Imu, at: Array) -> Array:
+    """Return the gyro's mean (m, 3) over a second about each time."""
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(imu.gyro_b[:-1] * np.diff(imu.t)[:, None], axis=0)])
+    ends = np.clip(np.stack([at - 0.5 * RATE_WINDOW_S, at + 0.5 * RATE_WINDOW_S]), imu.t[0], imu.t[-1])
+    first, last = (np.stack([np.interp(e, imu.t, turned[:, i]) for i in range(3)], axis=1) for e in ends)
+    return np.asarray((last - first) / np.maximum(ends[1] - ends[0], 1e-9)[:, None])
 
 
 def _turns(imu: Imu, times: Array, t_node: float, segmentation: Segmentation) -> Array:

@@ -12,6 +12,8 @@ from ..settings import Settings
 
 ASSUMED_GYRO_DENSITY = 5e-4  # rad/s/sqrt(Hz), 1.7 deg/sqrt(h): a consumer MEMS gyro; only where a log has no stop
 ASSUMED_ACCEL_DENSITY = 3e-3  # m/s^2/sqrt(Hz), 300 ug/sqrt(Hz)
+ASSUMED_SCALE = 3e-3  # scale and misalignment of a factory-calibrated MEMS gyro
+SCALE_CORRELATION_S = 2.0  # a rate lasts about this long: its scale error counts as noise of this correlation time
 ASSUMED_GYRO_WALK = 2e-5  # rad/s^2/sqrt(Hz): a consumer MEMS gyro
 WALK_WEIGHT = 3.0  # the assumption counts like three pairs of stops
 BLOCK_S = 0.5  # block whose mean shows the noise below the sensor's own low-pass
@@ -19,14 +21,16 @@ BLOCK_S = 0.5  # block whose mean shows the noise below the sensor's own low-pas
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Densities: gyro rad/s/sqrt(Hz), its bias walk rad/s^2/sqrt(Hz), accelerometer m/s^2/sqrt(Hz); where each is
-    from.
+    """Densities: gyro rad/s/sqrt(Hz), its bias walk rad/s^2/sqrt(Hz), accelerometer m/s^2/sqrt(Hz); where each is from.
+
+    ``gyro_scale``: scale error of the gyro, a share of the rate.
     """
 
     gyro_density: float
     gyro_walk: float
     accel_density: float
     sources: Mapping[str, str]
+    gyro_scale: float = 0.0
 
     @property
     def n_r(self) -> float:
@@ -37,6 +41,15 @@ class Noise:
     def n_w(self) -> float:
         """Spectral density of the bias walk, (rad/s^2)^2/Hz (the paper's N_w)."""
         return self.gyro_walk**2
+
+
+def motion_density(noise: Noise, rate: Array) -> Array:
+    r"""Return the spectral density of the gyro in motion, (rad/s)^2/Hz: :math:`N_r+2\tau s^2|\bar\omega|^2`.
+
+    ``rate`` (m, 3): bias-free rate, rad/s, averaged over a second so that vibration, whose scale error averages out,
+    does not count.
+    """
+    return np.asarray(noise.n_r + 2.0 * SCALE_CORRELATION_S * noise.gyro_scale**2 * np.sum(rate**2, axis=1))
 
 
 def stop_ranges(log: Log, segmentation: Segmentation) -> list[tuple[int, int]]:
@@ -101,7 +114,13 @@ def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Nois
         centre = np.array([0.5 * (t[lo] + t[hi - 1]) for lo, hi in ranges])
         span = np.array([(hi - lo) * d for (lo, hi), d in zip(ranges, dt, strict=True)])
         walk = bias_walk(means, centre, span, gyro**2)
-    return Noise(gyro, pick("gyro_random_walk", wanted.gyro_random_walk, walk, ASSUMED_GYRO_WALK), accel, sources)
+    measured = 0.0 if wanted.gyro_noise_density is not None else None
+    scale = pick("gyro_scale_sigma", wanted.gyro_scale_sigma, measured, ASSUMED_SCALE)
+    if wanted.gyro_scale_sigma is None and measured is not None:
+        sources["gyro_scale_sigma"] = "none, as the density is stated"
+    return Noise(
+        gyro, pick("gyro_random_walk", wanted.gyro_random_walk, walk, ASSUMED_GYRO_WALK), accel, sources, scale
+    )
 
 
 def reference_bias(log: Log, segmentation: Segmentation, at: Array) -> Array:

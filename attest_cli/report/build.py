@@ -147,6 +147,7 @@ def _settings(run: Run) -> dict[str, Any]:
         "gyro_noise_density": run.noise.gyro_density,
         "gyro_random_walk": run.noise.gyro_walk,
         "accel_noise_density": run.noise.accel_density,
+        "gyro_scale_sigma": run.noise.gyro_scale,
     }
     for key, value in figures.items():
         if run.noise.sources[key] != "settings":

@@ -189,6 +189,9 @@ class Imu(Section):
     accel_noise_density: AccelDensity | None = Field(
         None, description="noise of the specific force; none: from the log's stops"
     )
+    gyro_scale_sigma: Ratio | None = Field(
+        None, description="scale and misalignment of the gyro, 1 sigma; none: 0 with a stated density, else 0.003"
+    )
     gyro_bias_sigma: Rate = Field(0.02, description="bias at the start, 1 sigma; 1.1 deg/s, a consumer MEMS gyro")
     accel_bias_sigma: Acceleration = Field(
         0.02, description="accelerometer bias, 1 sigma; 2 mg, a calibrated MEMS accelerometer"

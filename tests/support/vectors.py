@@ -63,8 +63,11 @@ def vector6(frozen: bool = False) -> Vector6:
     noise = Noise(float(np.sqrt(v["Nr"])), float(np.sqrt(v["Nw"])), 1.0, {})
     none = np.zeros(n - 1, dtype=np.bool_)
     groups = tuple(_group(v, int(k), frozen) for k in at)
-    nodes = Nodes(t, moving, still, none, steps, _increments(steps, np.zeros((n - 1, 3)), still, v), np.arange(n - 1), at,
-                  groups, noise)  # fmt: skip
+    nodes = Nodes(
+        t=t, moving=moving, frozen=still, gap=none, steps=steps, sample_step=np.arange(n - 1), measured=at,
+        increments=_increments(steps, np.zeros((n - 1, 3)), still, v), measurements=groups,
+        density=np.full(n - 1, noise.n_r), noise=noise,
+    )  # fmt: skip
     return Vector6(v, nodes, Start(wxyz(v["q0"]), v["b0"], v["P0"], "absolute", False))
 
 

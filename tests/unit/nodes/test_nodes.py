@@ -207,7 +207,7 @@ def per_sample(work: Job) -> tuple[Array, Array, Array]:
                 w0, w1, dt = steps.rate0[j] - bias, steps.rate1[j] - bias, steps.dt[j]
                 turn = 0.5 * (w0 + w1) * dt + dt**2 / 12 * np.cross(w0, w1)
                 q = rotation.multiply(q, rotation.exp_quaternion(turn))
-                Phi, Q = transition(0.5 * (w0 + w1)[None], np.array([dt]), work.noise.n_r, work.noise.n_w)
+                Phi, Q = transition(0.5 * (w0 + w1)[None], np.array([dt]), nodes.density[k - 1], work.noise.n_w)
                 P = Phi[0] @ P @ Phi[0].T + Q[0]
         if k in groups:
             q, bias, P = update(q, bias, P, groups[k])
