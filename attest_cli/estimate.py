@@ -28,6 +28,8 @@ from .world import find_world
 Progress = Callable[[str, float], None]
 AUTO_PASSES = 6
 MOST_RAISES = 6  # of the gyro's noise in motion
+LEAST_RAISE = 1.1
+UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
@@ -80,7 +82,9 @@ def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, Filt
         freedom = int(found.dof[after].sum())
         if freedom == 0 or found.nis[after].sum() <= chdtri(freedom, SURE):
             break
-        factor = float(found.nis[after].sum()) / freedom
+        factor = min(float(found.nis[after].sum()) / freedom, UNKNOWN_RAD**2 / nodes.motion_variance())
+        if factor < LEAST_RAISE:
+            break
         nodes, raised = nodes.raised(factor), raised * factor
     if raised == 1.0:
         return nodes, forward, []

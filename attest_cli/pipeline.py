@@ -12,7 +12,7 @@ import numpy as np
 
 from . import __version__, assess, tables
 from .errors import AttestError
-from .estimate import Estimate, Progress, body_axes, estimate, locate, silent
+from .estimate import IDENTITY, Estimate, Progress, body_axes, estimate, locate, silent
 from .maths import rotation
 from .mounting import Mounting
 from .nodes.noise import find_noise
@@ -88,6 +88,8 @@ def _assemble(
         tuple(paths), recordings, log, effective, est.world, est.noise, segmentation, est.forward, est.smoothed, turned,
         place, seat, body, rows, advice, told, settings.smoothing.smoother,
     )  # fmt: skip
+    if body["axes"] == "imu" or np.array_equal(q_bv, IDENTITY):
+        return run, tables.track_columns(log, attitude, t, place, segmentation, settings.world.frame, None)
     R = rotation.matrix(q_bv)
     in_body = Attitude(
         rotation.continuous(rotation.multiply(attitude.q, q_bv)), attitude.bias @ R, attitude.variance_n,

@@ -78,8 +78,7 @@ def odometry_position(
     v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
     for s in segmentation.stops:
         v_v[(imu.t >= s.used_start) & (imu.t <= s.used_end)] = 0.0
-    R_nv = rotation.matrix(rotation.multiply(q, q_bv))
-    v_n = np.einsum("kij,kj->ki", R_nv, v_v)
+    v_n = rotation.rotate(q, rotation.rotate(q_bv, v_v))
     dt = np.diff(imu.t)
     p = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v_n[1:] + v_n[:-1]) * dt[:, None], axis=0)])
     chain, t = markov(smoothed), smoothed.t

@@ -107,8 +107,8 @@ def _solve(P: Array, q: Array, bias: Array, group: Sequence[Measurement], iterat
         at += d
 
     def linearise(d: Array) -> tuple[Array, Array]:
-        q_d = rotation.multiply(q, rotation.exp_quaternion(d[:3]))
-        pairs = [m.linearise(q_d, bias + d[3:]) for m in group]
+        R_nb = rotation.matrix(rotation.multiply(q, rotation.exp_quaternion(d[:3])))
+        pairs = [m.linearise(R_nb, bias + d[3:]) for m in group]
         if len(pairs) == 1:
             return pairs[0]
         return np.concatenate([r for r, _ in pairs]), np.concatenate([H for _, H in pairs])

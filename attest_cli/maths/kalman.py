@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from . import rotation
 
 Array = NDArray[np.float64]
+LONG_STEP = 0.3  # rad: shorter steps of an update are taken as they are
+MOST_HALVINGS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,8 @@ def iterated_update(
         S = H @ PHt + R
         nu = r + H @ d
         step = PHt @ np.linalg.solve(S, nu) - d
+        if max_iterations > 1:
+            step = _damped(P, linearise, R, d, r, step, rotations)
         d = d + step
         if rotations:
             J[:rotations, :rotations] = rotation.right_jacobian(d[:rotations])
@@ -124,6 +128,25 @@ def iterated_update(
     H_d = np.linalg.solve(J.T, H.T).T  # Jacobian to errors about the updated estimate
     weighted = np.linalg.solve(R, np.column_stack([H_d, nu - H @ d]))
     return Update(d, symmetric(P_post), symmetric(H_d.T @ weighted[:, :s]), H_d.T @ weighted[:, s], nu, S)
+
+
+def _damped(
+    P: Array, linearise: Callable[[Array], tuple[Array, Array]], R: Array, d: Array, r: Array, step: Array, rotations: int
+) -> Array:  # fmt: skip
+    """Halve a step of more than ``LONG_STEP`` rad until the posterior's cost falls: far out the linearisation misleads."""
+    if float(np.linalg.norm(step[:rotations])) < LONG_STEP:
+        return step
+
+    def cost(at: Array, residual: Array) -> float:
+        return float(at @ np.linalg.solve(P, at) + residual @ np.linalg.solve(R, residual))
+
+    now = cost(d, r)
+    step = step * min(1.0, np.pi / 2 / float(np.linalg.norm(step[:rotations])))
+    for _ in range(MOST_HALVINGS):
+        if cost(d + step, linearise(d + step)[0]) <= now:
+            break
+        step = 0.5 * step
+    return step
 
 
 def rts(chain: Chain) -> Errors:

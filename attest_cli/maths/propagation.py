@@ -115,7 +115,7 @@ def step_vectors(rate0: Array, rate1: Array, dt: Array) -> Array:
 
     Fourth order for a rate that is linear within the step (the paper's braces, made exactly unit).
     """
-    return np.asarray(0.5 * (rate0 + rate1) * dt[:, None] + dt[:, None] ** 2 / 12 * np.cross(rate0, rate1))
+    return np.asarray(0.5 * (rate0 + rate1) * dt[:, None] + dt[:, None] ** 2 / 12 * rotation.cross(rate0, rate1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,12 +206,13 @@ def _compose(steps: Steps, rows: NDArray[np.int64], bias: Array) -> tuple[Array,
         vector = step_vectors(w0, w1, dt)
         dq[:a] = rotation.multiply(dq[:a], rotation.exp_quaternion(vector))
         th, ps, s12, s11 = _blocks(np.ascontiguousarray((0.5 * (w0 + w1)).T), dt)
-        cross = _mm(_mm(th, q12[..., :a]), _transpose(ps))
+        carried = _mm(th, q12[..., :a])
+        cross = _mm(carried, _transpose(ps))
         q11[..., :a] = (
             _mm(_mm(th, q11[..., :a]), _transpose(th)) - cross - _transpose(cross)
             + span[:a] * _mm(ps, _transpose(ps)) + s11
         )  # fmt: skip
-        q12[..., :a] = _mm(th, q12[..., :a]) - span[:a] * ps + s12
+        q12[..., :a] = carried - span[:a] * ps + s12
         psi[..., :a] = _mm(th, psi[..., :a]) + ps
         theta[..., :a] = _mm(th, theta[..., :a])
         span[:a] += dt

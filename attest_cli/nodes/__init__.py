@@ -67,6 +67,13 @@ class Nodes:
         Q[:, :3, :3] += more[:, None, None] * np.eye(3)
         return replace(self, density=factor * self.density, increments=replace(self.increments, Q=Q))
 
+    def motion_variance(self) -> float:
+        """Return the attitude variance, rad^2, that gyro noise adds over the worst motion."""
+        added = np.where(self.frozen | self.gap, 0.0, self.density * self.increments.span)
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], self.frozen, [True]]).astype(np.int8)))
+        total = np.concatenate([[0.0], np.cumsum(added)])
+        return max(float(np.max(np.diff(total[edges]), initial=0.0)), 1e-12)
+
 
 def build_nodes(
     log: Log, segmentation: Segmentation, observations: list[Observation], noise: Noise, settings: Settings

@@ -12,7 +12,6 @@ from typing import Protocol
 
 import numpy as np
 
-from ..maths import rotation
 from ..records import Array
 from .direction import Direction
 from .heading import BodyHeading, FieldHeading
@@ -70,11 +69,9 @@ class Measurement:
     noise: Array
     turn: Array | None = None
 
-    def linearise(self, q_nb: Array, bias: Array) -> tuple[Array, Array]:
-        """Return the mean residual (dof,) and Jacobian (dof, 6) at the node's attitude ``q_nb`` (4,) and ``bias``
-        (3,).
-        """
-        R_nb = np.broadcast_to(rotation.matrix(q_nb), (len(self.values), 3, 3))
+    def linearise(self, R_nb: Array, bias: Array) -> tuple[Array, Array]:
+        """Return the mean residual (dof,) and Jacobian (dof, 6) at the node's ``R_nb`` (3, 3) and ``bias`` (3,)."""
+        R_nb = np.broadcast_to(R_nb, (len(self.values), 3, 3))
         if self.turn is None:
             r, H = self.sensor.linearise(R_nb, bias, self.values)
         else:

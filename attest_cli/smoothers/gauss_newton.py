@@ -68,8 +68,9 @@ def _gated(nodes: Nodes, q: Array, bias: Array, P: Array, gate: float) -> Kept:
     """Return the measurements that fit the smoothed trajectory: ``r' (R + H P H')^-1 r`` inside the chi-square gate."""
     kept = set()
     for node, group in zip(nodes.measured.tolist(), nodes.measurements, strict=True):
+        R_nb = rotation.matrix(q[node])
         for m in group:
-            r, H = m.linearise(q[node], bias[node])
+            r, H = m.linearise(R_nb, bias[node])
             nis = float(r @ np.linalg.solve(m.noise + H @ P[node] @ H.T, r))
             if gate >= 1.0 or nis <= chdtri(m.sensor.dof, 1.0 - gate):
                 kept.add((node, m.role))
@@ -94,10 +95,11 @@ def _normal_equations(
     right[1:] += np.einsum("kij,kj->ki", weight, u)
     _add_prior(diagonal, right, start, q[0], bias[0])
     for node, group in zip(nodes.measured.tolist(), nodes.measurements, strict=True):
+        R_nb = rotation.matrix(q[node])
         for m in group:
             if kept is not None and (node, m.role) not in kept:
                 continue
-            r, H = m.linearise(q[node], bias[node])
+            r, H = m.linearise(R_nb, bias[node])
             HtW = np.linalg.solve(m.noise, H).T
             diagonal[node] += HtW @ H
             right[node] += HtW @ r

@@ -63,14 +63,22 @@ def effective(simulation: Simulation, over: Mapping[str, Mapping[str, Any]]) -> 
 
 
 def simulated(
-    options: RoverOptions, change: Callable[[Log], Log] = lambda log: log, start_s: float = 0.0,
+    options: RoverOptions, change: Callable[[Log], Log] = lambda log: log, start_s: float = 0.0, walk: float = 1.0,
     **over: Mapping[str, Any],
 ) -> Job:  # fmt: skip
-    """Simulate a drive and bring it to the door of the filter; ``change`` edits the log, ``start_s`` cuts its beginning off."""
+    """Simulate a drive and bring it to the door of the filter.
+
+    ``change`` edits the log, ``start_s`` cuts its beginning off, ``walk`` is the share of the gyro bias walk that is kept.
+    """
     simulation = simulate_rover(options)
     settings = effective(simulation, over)
-    log = cut(change(prepare([simulation.log], settings)), start_s)
+    log = prepare([simulation.log], settings)
     bias = np.column_stack([simulation.truth[f"gyro_bias_{axis}_rad_s"] for axis in "xyz"])
+    if walk != 1.0:
+        less = (1.0 - walk) * (bias - bias[0])
+        bias = bias - less
+        log = replace(log, imu=replace(log.imu, gyro_b=log.imu.gyro_b - less))
+    log = cut(change(log), start_s)
     return job(log, settings, rover_drive(options), bias[-len(log.imu.t) :], start_s)
 
 
