@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from . import mounting, position
 from .errors import AttestError
 from .filters import indirect
 from .filters.alignment import Start, align
 from .maths import rotation
+from .maths.consistency import upper_quantile
 from .mounting import Mounting
 from .nodes import Nodes, build_nodes
 from .nodes.noise import Noise, find_noise
@@ -80,7 +80,7 @@ def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, Filt
         found = forward.innovations
         after = (found.role == "gravity") & (found.t > found.t[found.role == "gravity"].min(initial=np.inf))
         freedom = int(found.dof[after].sum())
-        if freedom == 0 or found.nis[after].sum() <= chdtri(freedom, SURE):
+        if freedom == 0 or found.nis[after].sum() <= upper_quantile(freedom, SURE):
             break
         factor = min(float(found.nis[after].sum()) / freedom, UNKNOWN_RAD**2 / nodes.motion_variance())
         if factor < LEAST_RAISE:

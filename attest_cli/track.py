@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from .maths import rotation
 from .maths.propagation import run_steps
 from .nodes import Nodes
 from .records import Array, Smoothed
+
+BLOCK_STEPS = 1 << 16  # samples handled together: temporaries stay in cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +48,13 @@ def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Attitude:
     """
     q, variance = np.empty((len(t), 4)), world_variance(smoothed.q, smoothed.P)
     q[0] = smoothed.q[0]
-    if len(t) > 1:
-        bias = 0.5 * (smoothed.bias[1:] + smoothed.bias[:-1])
-        held = nodes.frozen | nodes.gap
-        bias[held] = 0.0  # steps of held intervals carry no rate
-        run = run_steps(nodes.steps, smoothed.q[:-1], bias)
-        ends = run[nodes.steps.first[1:] - 1]
-        defect_b = rotation.log_quaternion(rotation.multiply(rotation.conjugate(ends), smoothed.q[1:]))
-        defect_n = np.einsum("kij,kj->ki", rotation.matrix(ends), defect_b)
-        owner = np.repeat(np.arange(len(ends)), nodes.steps.count)[nodes.sample_step]
-        share = np.clip((t[1:] - nodes.t[owner]) / np.diff(nodes.t)[owner], 0.0, 1.0)
-        bridge = rotation.exp_quaternion(defect_n[owner] * share[:, None])
-        q[1:] = rotation.multiply(bridge, run[nodes.sample_step])
+    bias = 0.5 * (smoothed.bias[1:] + smoothed.bias[:-1])
+    bias[nodes.frozen | nodes.gap] = 0.0  # steps of held intervals carry no rate
+    first = nodes.steps.first
+    cuts = [*np.unique(np.searchsorted(first, np.arange(0, first[-1], BLOCK_STEPS))).tolist(), len(first) - 1]
+    for lo, hi in pairwise(cuts):
+        rows = slice(*np.searchsorted(nodes.sample_step, [first[lo], first[hi]]).tolist())
+        q[1:][rows] = _bridged(nodes, smoothed, bias, t[1:][rows], rows, lo, hi)
     q = rotation.continuous(rotation.normalise(q))
     return Attitude(
         q,
@@ -64,6 +62,19 @@ def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Attitude:
         _interpolate(t, smoothed.t, np.einsum("kii->ki", variance)),
         _interpolate(t, smoothed.t, np.einsum("kii->ki", smoothed.P)[:, 3:]),
     )
+
+
+def _bridged(nodes: Nodes, smoothed: Smoothed, bias: Array, t: Array, rows: slice, lo: int, hi: int) -> Array:
+    """Return the attitude at the samples ``rows`` (times ``t``) in the intervals ``lo .. hi``."""
+    steps = nodes.steps.part(lo, hi)
+    run = run_steps(steps, smoothed.q[lo:hi], bias[lo:hi])
+    ends = run[steps.first[1:] - 1]
+    defect_b = rotation.log_quaternion(rotation.multiply(rotation.conjugate(ends), smoothed.q[lo + 1 : hi + 1]))
+    defect_n = rotation.rotate(ends, defect_b)
+    at = nodes.sample_step[rows] - nodes.steps.first[lo]
+    owner = np.repeat(np.arange(hi - lo), steps.count)[at]
+    share = np.clip((t - nodes.t[lo + owner]) / np.diff(nodes.t)[lo + owner], 0.0, 1.0)
+    return rotation.multiply(rotation.exp_quaternion(defect_n[owner] * share[:, None]), run[at])
 
 
 def _interpolate(t: Array, nodes_t: Array, values: Array) -> Array:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..maths import consistency
 from ..records import Array, Bools, Ints, Result
-from . import chi_square, reduce, style, ticks
+from . import reduce, style, ticks
 from .drive import Drive
 from .frame import new_page, row_name
 from .page import AXIS_PT, DASHED, Kind, Page, Panel
@@ -237,12 +238,12 @@ def _histogram(page: Page, data: Found) -> None:
     _head(page, 0.95, "NIS", f"used measurements against χ², {data.dof} degrees of freedom" if data.dof > 1 else
           "used measurements against χ², 1 degree of freedom")  # fmt: skip
     nis = data.nis[data.used & np.isfinite(data.nis)]
-    low, high = chi_square.quantile(0.025, data.dof), chi_square.quantile(0.975, data.dof)
+    low, high = consistency.upper_quantile(data.dof, 0.975), consistency.upper_quantile(data.dof, 0.025)
     last = float(math.ceil(max(2.0 * high / 1.3, 6.0)))
     width = last / 20.0
     counts = np.histogram(np.minimum(nis, last - 1e-9), bins=20, range=(0.0, last))[0].astype(np.float64)
     grid = np.linspace(1e-6, last, 200)
-    expected = nis.size * width * chi_square.density(grid, data.dof)
+    expected = nis.size * width * consistency.density(grid, data.dof)
     tallest = max(float(counts.max()), float(expected[grid > 0.5 * width].max(initial=0.0)), 1.0) * 1.18
     panel = page.panel((0.95, top, 3.3, 1.83), (0.0, last), (0.0, tallest))
     at = ticks.linear(0.0, tallest, 5)

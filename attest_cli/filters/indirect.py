@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
 from ..maths import rotation
+from ..maths.consistency import upper_quantile
 from ..maths.kalman import Chain, Update, iterated_update
 from ..nodes import Nodes
 from ..records import Array, FilterRun, Innovations
@@ -83,7 +83,7 @@ def _update(
         update = _solve(P, q, bias, kept, iterations)
         parts = _by_measurement(update, kept)
         excess = [
-            nis / float(chdtri(m.sensor.dof, 1.0 - gate)) if gate < 1.0 else 0.0
+            nis / upper_quantile(m.sensor.dof, 1.0 - gate) if gate < 1.0 else 0.0
             for m, (nis, _) in zip(kept, parts, strict=True)
         ]
         worst = int(np.argmax(excess))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from . import rotation
 
 Array = NDArray[np.float64]
+Linearise = Callable[[Array], tuple[Array, Array]]  # d -> residual (m,), Jacobian (m, s)
 LONG_STEP = 0.3  # rad: shorter steps of an update are taken as they are
 MOST_HALVINGS = 6
 
@@ -83,9 +84,7 @@ def symmetric(P: NDArray[np.floating]) -> Array:
     return np.asarray(0.5 * (P + P.swapaxes(-1, -2)), dtype=np.float64)
 
 
-def iterated_update(
-    P: Array, linearise: Callable[[Array], tuple[Array, Array]], R: Array, rotations: int, max_iterations: int = 8
-) -> Update:
+def iterated_update(P: Array, linearise: Linearise, R: Array, rotations: int, max_iterations: int = 8) -> Update:
     r"""Update with the maximum a posteriori estimate: Gauss-Newton on the update, Joseph form, reset Jacobian.
 
     .. math:: d_{i+1}=K_i(r_i+H_iJ_id_i),\qquad K_i=PH^T(HPH^T+R)^{-1},
@@ -131,9 +130,9 @@ def iterated_update(
 
 
 def _damped(
-    P: Array, linearise: Callable[[Array], tuple[Array, Array]], R: Array, d: Array, r: Array, step: Array, rotations: int
+    P: Array, linearise: Linearise, R: Array, d: Array, r: Array, step: Array, rotations: int
 ) -> Array:  # fmt: skip
-    """Halve a step of more than ``LONG_STEP`` rad until the posterior's cost falls: far out the linearisation misleads."""
+    """Halve a step of more than ``LONG_STEP`` rad until the posterior's cost falls: far out linearisation misleads."""
     if float(np.linalg.norm(step[:rotations])) < LONG_STEP:
         return step
 

@@ -136,6 +136,11 @@ class Steps:
         """Steps in each interval (m,)."""
         return np.diff(self.first)
 
+    def part(self, lo: int, hi: int) -> Steps:
+        """Return the steps of the intervals ``lo .. hi``."""
+        a, b = self.first[lo], self.first[hi]
+        return Steps(self.dt[a:b], self.rate0[a:b], self.rate1[a:b], self.first[lo : hi + 1] - a)
+
 
 @dataclass(frozen=True, slots=True)
 class Increments:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from .. import __version__
 from ..assess import Pass
+from ..maths.consistency import upper_quantile
 from ..mounting import Mounting
 from ..nodes.noise import Noise
 from ..position import Position
@@ -260,7 +260,7 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
         if s["used"] < 5:
             continue
         total = s["used"] * s["dof"]
-        low, high = chdtri(total, 1 - BAND / 2) / s["used"], chdtri(total, BAND / 2) / s["used"]
+        low, high = (upper_quantile(total, p) / s["used"] for p in (1 - BAND / 2, BAND / 2))
         mean = s["mean_nis"]
         good = mean <= high
         word = (

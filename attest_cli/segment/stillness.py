@@ -8,8 +8,8 @@ from bisect import bisect
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
+from ..maths.consistency import upper_quantile
 from ..records import Array, Bools, Imu, Ints
 from ..settings import Settings
 
@@ -21,8 +21,8 @@ GYRO_DRIFT, ACCEL_DRIFT = 5e-5, 1e-3  # rad/s, m/s^2: how far means of a still s
 ACCEL_WALK = 3e-4  # m/s^2/sqrt(s): the same over a longer stop
 LONE_STOP_S = 4.0  # a bias that a single quiet interval supports needs one this long
 BIAS_WALK = 1e-5  # rad/s^2/sqrt(Hz): walk of the gyro's bias between stops where it is not stated
-CHI2_3 = float(chdtri(3, FALSE_ALARM))
-CHI2_6 = float(chdtri(6, FALSE_ALARM))
+CHI2_3 = upper_quantile(3, FALSE_ALARM)
+CHI2_6 = upper_quantile(6, FALSE_ALARM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ def calm_spread(spread: Array, width: int) -> float:
 
 def thresholds(windows: Windows, sigmas: tuple[float, float], settings: Settings) -> Thresholds:
     """Noise-derived threshold, raised where even the calmest two windows in a row pass it: a stop that shakes."""
-    noise = float(chdtri(6 * windows.width - 3, FALSE_ALARM)) / windows.width
+    noise = upper_quantile(6 * windows.width - 3, FALSE_ALARM) / windows.width
     change = own_spread(windows, sigmas)[windows.blocks]
     pairs = np.sort(np.maximum(change[1:], change[:-1])) if change.size > 1 else change
     level = float(pairs[min(pairs.size - 1, int(QUIET_SHARE * pairs.size))])

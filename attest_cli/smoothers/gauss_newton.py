@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from ..filters.alignment import Start
 from ..maths import block_tridiagonal, kalman, rotation
+from ..maths.consistency import upper_quantile
 from ..nodes import Nodes
 from ..records import Array, Innovations, Smoothed
 
@@ -72,7 +72,7 @@ def _gated(nodes: Nodes, q: Array, bias: Array, P: Array, gate: float) -> Kept:
         for m in group:
             r, H = m.linearise(R_nb, bias[node])
             nis = float(r @ np.linalg.solve(m.noise + H @ P[node] @ H.T, r))
-            if gate >= 1.0 or nis <= chdtri(m.sensor.dof, 1.0 - gate):
+            if gate >= 1.0 or nis <= upper_quantile(m.sensor.dof, 1.0 - gate):
                 kept.add((node, m.role))
     return kept
 

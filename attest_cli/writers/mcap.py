@@ -25,7 +25,7 @@ def write(columns: Mapping[str, NDArray[Any]], metadata: Mapping[str, str], path
     Columns ``gyro_x`` ... ``accel_z`` (body axes, without bias) add the Imu topic.
     """
     stamps = columns["timestamp_ns"].tolist()
-    frame = {"enu": "map", "ned": "map_ned"}.get(metadata.get("frame", "enu").lower(), "map")
+    frame = "map_ned" if metadata.get("frame", "").lower().startswith("ned") else "map"
     attitude = _table(columns, "q_w", "q_x", "q_y", "q_z")
     sigma = np.radians(_table(columns, "sigma_att_x_deg", "sigma_att_y_deg", "sigma_att_z_deg"))
     position = _table(columns, "position_x_m", "position_y_m", "position_z_m")

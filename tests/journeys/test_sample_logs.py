@@ -118,7 +118,8 @@ def test_sigma_holds_against_the_truth(done: dict[str, Done], whole: Drive) -> N
 
 
 def test_stops_are_those_of_the_truth(done: dict[str, Done], whole: Drive) -> None:
-    rows = list(csv.DictReader((done["csv"].folder / "segments.csv").open(encoding="utf-8")))
+    text = (done["csv"].folder / "segments.csv").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(text.splitlines()))
     edges = whole.t[1:][np.diff(whole.moving.astype(int)) != 0]
     found = [float(row["start_s"]) for row in rows[1:]]
     assert [row["kind"] for row in rows] == ["stop", "motion"] * 4 + ["stop"]
@@ -134,7 +135,7 @@ def test_words_are_the_numbers_of_the_report(done: dict[str, Done]) -> None:
     assert lines[0].startswith(f"● {report['pages'][0]['title']}")
     assert lines[0].endswith(report["verdict"])
     assert "4 | 5" in words
-    assert "12 000 samples at 50 Hz" in words.replace("\u2009", " ").replace("\u202f", " ")
+    assert "12 000 samples at 50 Hz" in words.replace("\u00a0", " ")
     assert f"{len(report['pages'])} pages" in lines[-1]
     assert report["coverage"]["rows_in"] == report["coverage"]["rows_used"] == 12000
 
@@ -165,11 +166,9 @@ def test_report_takes_the_newest_folder_and_the_dark_theme(
     done: dict[str, Done], tmp_path: Path, attest: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for age, name in ((50, "older"), (10, "newest")):
+    for stamp, name in ((1_700_000_000, "z_older"), (1_700_000_100, "newest")):
         shutil.copytree(done["csv"].folder, tmp_path / f"{name}.attest")
-        stamp = (tmp_path / "newest.attest" / "report.json").stat().st_mtime - age if age > 10 else None
-        if stamp is not None:
-            os.utime(tmp_path / f"{name}.attest" / "report.json", (stamp, stamp))
+        os.utime(tmp_path / f"{name}.attest" / "report.json", (stamp, stamp))
     light = (tmp_path / "newest.attest/report/04-sigma.png").read_bytes()
     outcome = attest("report", "--theme", "dark", "--json")
     assert outcome.code == 0
@@ -186,14 +185,18 @@ def test_two_runs_differ_only_in_the_stamp_of_the_run(done: dict[str, Done], sam
     names = sorted(path.relative_to(first) for path in first.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
     unlike = [str(name) for name in names if (first / name).read_bytes() != (again / name).read_bytes()]
-    assert set(unlike) <= {"report.json", "report/report.html"}
+    assert set(unlike) <= {"report.json", "report/report.html"}  # the page: see the next test
     reports = [json.loads((folder / "report.json").read_text(encoding="utf-8")) for folder in (first, again)]
     for report in reports:
         report.pop("created_utc")
     assert reports[0] == reports[1]
-    stamps = [done["csv"].report["created_utc"], json.loads((again / "report.json").read_text())["created_utc"]]
-    pages = [(folder / "report/report.html").read_text(encoding="utf-8") for folder in (first, again)]
-    assert pages[0].replace(stamps[0], "") == pages[1].replace(stamps[1], "")
+
+
+@pytest.mark.xfail(strict=True, reason="finding 12: report.html shows created_utc; stamps of the run belong to report.json only")
+def test_no_file_but_the_report_holds_the_stamp_of_the_run(done: dict[str, Done]) -> None:
+    stamp = done["csv"].report["created_utc"]
+    clock = stamp.partition("T")[2][:8]
+    assert clock not in (done["csv"].folder / "report/report.html").read_text(encoding="utf-8")
 
 
 def test_other_formats_hold_the_same_track(done: dict[str, Done]) -> None:
@@ -248,10 +251,15 @@ def test_start_and_end_cut_the_log(done: dict[str, Done], samples: Path, smooth:
     assert cut.report["coverage"]["rows_in"] == len(track["t_s"])
 
 
-@pytest.mark.parametrize(("start", "end"), [(500, 600), (100, 100), (130, 55), (-20, -10)])
-def test_an_empty_window_is_refused(samples: Path, attest: Callable[..., Any], tmp_path: Path, start: int, end: int) -> None:
+@pytest.mark.parametrize(
+    ("start", "end", "says"),
+    [(500, 600, "rover.parquet: only 0 usable"), (100, 100, "not after"), (130, 55, "not after"), (-20, -10, "start_s")],
+)
+def test_an_empty_window_is_refused(
+    samples: Path, attest: Callable[..., Any], tmp_path: Path, start: int, end: int, says: str
+) -> None:
     outcome = attest("smooth", samples / "rover.parquet", f"--start={start}", f"--end={end}", "-o", tmp_path / "r")
-    outcome.refused("rover.parquet")
+    outcome.refused(says)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -281,15 +289,14 @@ def test_gate_and_strict_end_with_3(samples: Path, smooth: Callable[..., Any]) -
     assert "over the gate of 0.05°" in failed.outcome.err
     assert failed.report["verdict"] == "FAIL"
     assert failed.outcome.err.splitlines()[0].endswith("FAIL")
-    warned = smooth(samples / "rover.parquet", "--strict", "--map", "sun=sun", "-c", _no_sun(samples, failed.folder), codes=(3,))
-    assert "no-sun-reference" in warned.codes
 
 
-def _no_sun(samples: Path, folder: Path) -> Path:
-    """A config whose sun direction is not known: the one beside the log must not count then."""
-    path = folder.parent / "vertical.toml"
-    path.write_text("[world]\nsun_direction = [0.0, 0.0, 1.0]\n", encoding="utf-8")
-    return path
+def test_strict_turns_a_warning_into_3(samples: Path, tmp_path: Path, smooth: Callable[..., Any]) -> None:
+    config = tmp_path / "noon.toml"
+    config.write_text("[world]\nsun_direction = [0.0, 0.0, 1.0]\n", encoding="utf-8")
+    plain = smooth(samples / "rover.parquet", "-c", config, output="plain")
+    strict = smooth(samples / "rover.parquet", "-c", config, "--strict", codes=(3,), output="strict")
+    assert plain.codes == strict.codes == {"sun-not-used"}
 
 
 def test_files_of_one_drive_make_one_log(done: dict[str, Done], whole: Drive, tmp_path: Path, smooth: Callable[..., Any]) -> None:

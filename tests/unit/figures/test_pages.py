@@ -12,7 +12,6 @@ from PIL import Image
 
 from attest_cli import figures
 from attest_cli.figures import (
-    chi_square,
     gyro_bias,
     innovations,
     overview,
@@ -284,16 +283,6 @@ def test_white_noise_has_no_autocorrelation_and_a_ramp_has():
     assert np.abs(white).max() < 4.0 / np.sqrt(4000)
     assert innovations.autocorrelation(np.arange(100.0), 3)[0] > 0.9
     assert (innovations.autocorrelation(np.ones(10), 3) == 0.0).all()
-
-
-@pytest.mark.parametrize("dof", [1, 2, 3, 4, 5, 6])
-def test_chi_square_against_scipy(dof):
-    from scipy.stats import chi2
-
-    x = np.array([0.01, 0.5, 2.0, 9.0, 30.0])
-    np.testing.assert_allclose(chi_square.density(x, dof), chi2.pdf(x, dof), rtol=1e-12)
-    for share in (0.025, 0.5, 0.975):
-        assert chi_square.quantile(share, dof) == pytest.approx(chi2.ppf(share, dof), rel=1e-9)
 
 
 def test_plan_has_equal_scales_and_north_is_up(make):

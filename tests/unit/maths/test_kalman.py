@@ -188,8 +188,8 @@ class Vector3:
         self.q = wxyz(v["q"])
 
     def linearise(self, d: Array) -> tuple[Array, Array]:
-        q = rotation.multiply(self.q, rotation.exp_quaternion(d[:3]))
-        pairs = [m.linearise(q, self.v["b"] + d[3:]) for m in self.group]
+        R_nb = rotation.matrix(rotation.multiply(self.q, rotation.exp_quaternion(d[:3])))
+        pairs = [m.linearise(R_nb, self.v["b"] + d[3:]) for m in self.group]
         return np.concatenate([r for r, _ in pairs]), np.concatenate([H for _, H in pairs])
 
     def update(self, rounds: int) -> kalman.Update:

@@ -222,8 +222,9 @@ def update(q: Array, bias: Array, P: Array, group) -> tuple[Array, Array, Array]
         J = np.eye(6)
         J[:3, :3] = rotation.right_jacobian(d[:3])
         A, b = W.copy(), -W @ d
+        R_nb = rotation.matrix(rotation.multiply(q, rotation.exp_quaternion(d[:3])))
         for m in group:
-            r, H = m.linearise(rotation.multiply(q, rotation.exp_quaternion(d[:3])), bias + d[3:])
+            r, H = m.linearise(R_nb, bias + d[3:])
             A += J.T @ H.T @ np.linalg.solve(m.noise, H @ J)
             b += J.T @ H.T @ np.linalg.solve(m.noise, r)
         d = d + np.linalg.solve(A, b)

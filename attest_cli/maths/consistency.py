@@ -1,0 +1,52 @@
+"""Chi-square distribution of squared normalised errors (NEES, NIS): gates, thresholds, bands.
+
+Written out because importing scipy.special costs a fifth of a second at every start; tested against it.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def density(x: Array, dof: int) -> Array:
+    """Return the density at ``x`` > 0: ``x^(k/2-1) exp(-x/2) / (2^(k/2) Gamma(k/2))``, ``k = dof``."""
+    half = 0.5 * dof
+    return np.asarray(np.exp((half - 1.0) * np.log(x) - 0.5 * x - half * math.log(2.0) - math.lgamma(half)))
+
+
+def survival(x: float, dof: int) -> float:
+    r"""Return the probability of more than ``x``.
+
+    .. math:: \sum_{j} e^{-x/2}\frac{(x/2)^j}{\Gamma(j+1)},\quad j=0,1,\dots<k/2 \text{ (even)},\
+        \operatorname{erfc}\sqrt{x/2}+\sum_{j=1/2,3/2,\dots<k/2} \text{ (odd)}
+
+    Only positive terms: small tails keep their digits. Abramowitz & Stegun 26.4.4-5.
+    """
+    if x <= 0.0:
+        return 1.0
+    half = 0.5 * x
+    odd = dof % 2
+    j = np.arange(dof // 2) + 0.5 * odd
+    log_gamma = np.concatenate([[math.lgamma(1.0 + 0.5 * odd)], np.log(j[1:])]).cumsum()[: len(j)]
+    terms = float(np.exp(j * math.log(half) - half - log_gamma).sum()) if len(j) else 0.0
+    return terms + (math.erfc(math.sqrt(half)) if odd else 0.0)
+
+
+@lru_cache(maxsize=4096)
+def upper_quantile(dof: int, probability: float) -> float:
+    """Return the value that a chi-square of ``dof`` degrees of freedom passes with ``probability`` (by bisection)."""
+    low, high = 0.0, dof + 10.0 * math.sqrt(2.0 * dof) + 40.0
+    while survival(high, dof) > probability:
+        high *= 2.0
+    while high - low > 4e-16 * high:
+        middle = 0.5 * (low + high)
+        if middle in {low, high}:
+            break
+        low, high = (middle, high) if survival(middle, dof) > probability else (low, middle)
+    return 0.5 * (low + high)

@@ -1,0 +1,51 @@
+"""CPU time and memory of the whole job: ``attest smooth`` as a process on a simulated drive, several runs.
+
+    python benchmarks/speed/whole_job.py --hours 1 --rate 200 --format parquet --runs 3
+
+Machines differ and are shared: quote the least of the runs, and compare only figures of one machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+SENSORS = "sun,magnetometer,odometry"
+
+
+def run(command: list[str]) -> tuple[float, float]:
+    """Run a process; return its CPU seconds (user + system) and its largest memory, MB."""
+    pid = os.posix_spawn(sys.executable, [sys.executable, "-m", "attest_cli", *command], os.environ)
+    _, status, used = os.wait4(pid, 0)
+    if os.waitstatus_to_exitcode(status) not in {0, 3}:
+        sys.exit(f"attest {' '.join(command)} failed")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def main() -> None:
+    """Make the log, run the job, print a line per run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--rate", type=float, default=200.0)
+    parser.add_argument("--format", default="parquet", choices=("csv", "mcap", "parquet"))
+    parser.add_argument("--runs", type=int, default=3)
+    wanted = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / f"drive.{wanted.format}"
+        made = ["simulate", "rover", "-q", "-o", str(log), "--duration", str(3600 * wanted.hours), "--rate", str(wanted.rate)]
+        run([*made, "--sensors", SENSORS, "--seed", "1"])
+        size = log.stat().st_size / 1e6
+        print(f"{wanted.hours:g} h at {wanted.rate:g} Hz, {wanted.format}, {size:.0f} MB, sensors: imu,{SENSORS}")
+        found = []
+        for k in range(wanted.runs):
+            cpu, memory = run(["smooth", str(log), "-q", "-o", str(Path(folder) / f"{k}.attest")])
+            found.append(cpu)
+            print(f"run {k + 1}: {cpu:.2f} s CPU, {memory:.0f} MB")
+        print(f"least of {wanted.runs}: {min(found):.2f} s CPU")
+
+
+if __name__ == "__main__":
+    main()

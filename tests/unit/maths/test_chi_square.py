@@ -1,0 +1,22 @@
+"""The written-out chi-square against scipy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from attest_cli.maths import consistency
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 4, 5, 6, 33, 600, 1197, 10_800])
+def test_density_and_tails(dof: int) -> None:
+    x = dof * np.array([0.5, 0.9, 1.0, 1.1, 1.5])
+    np.testing.assert_allclose(consistency.density(x, dof), chi2.pdf(x, dof), rtol=1e-9)
+    np.testing.assert_allclose([consistency.survival(v, dof) for v in x], chi2.sf(x, dof), rtol=1e-9)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 6, 7, 597, 1197, 10_800])
+@pytest.mark.parametrize("probability", [1 - 5e-5, 0.975, 0.5, 0.025, 1e-4, 1e-6])
+def test_upper_quantile(dof: int, probability: float) -> None:
+    assert consistency.upper_quantile(dof, probability) == pytest.approx(chi2.isf(probability, dof), rel=1e-8)
