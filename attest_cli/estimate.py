@@ -19,10 +19,9 @@ from .nodes import Nodes, build_nodes
 from .nodes.noise import Noise, find_noise
 from .nodes.observations import observe
 from .position import Position
-from .records import FilterRun, Log, Segmentation, Smoothed, Warn, World
+from .records import Array, FilterRun, Log, Segmentation, Smoothed, Warn, World
 from .settings import Settings
 from .smoothers import SMOOTHERS, gauss_newton
-from .track import Attitude
 from .world import find_world
 
 Progress = Callable[[str, float], None]
@@ -131,11 +130,11 @@ def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
 
 
 def locate(
-    log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings
+    log: Log, segmentation: Segmentation, est: Estimate, q: Array, settings: Settings
 ) -> tuple[Position | None, Mounting | None, list[Warn]]:
     """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position."""
     odometry, mode = log.fixes.get("odometry"), settings.smoothing.position
-    seat = _seat(log, segmentation, est, attitude, settings)
+    seat = _seat(log, segmentation, est, q, settings)
     told: list[Warn] = []
     if mode == "odometry" and odometry is None:
         raise AttestError(f"{log.sources[0].name}: no odometry for the position", "use --position auto")
@@ -147,7 +146,7 @@ def locate(
                     Warn("odometry-late", f"odometry is {abs(lag):.2f} s {_late(lag)} against the IMU: corrected")
                 )
             on_time = replace(odometry, t=odometry.t - lag)
-            found = position.odometry_position(log.imu, attitude.q, q_bv, est.smoothed, segmentation, on_time, settings)
+            found = position.odometry_position(log.imu, q, q_bv, est.smoothed, segmentation, on_time, settings)
             return found, seat, told
         told.append(
             Warn("odometry-not-used", "odometry not used: the drive does not show how the IMU sits in the vehicle",
@@ -156,7 +155,7 @@ def locate(
     if mode == "none" or not segmentation.stops:
         return None, seat, told
     found = position.inertial_position(
-        log.imu, attitude.q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity,
+        log.imu, q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity,
         literal=mode == "literal",
     )  # fmt: skip
     return found, seat, told
@@ -166,13 +165,11 @@ def _late(lag: float) -> str:
     return "late" if lag > 0 else "early"
 
 
-def _seat(
-    log: Log, segmentation: Segmentation, est: Estimate, attitude: Attitude, settings: Settings
-) -> Mounting | None:
+def _seat(log: Log, segmentation: Segmentation, est: Estimate, q: Array, settings: Settings) -> Mounting | None:
     """Return how the IMU sits in the vehicle, None where the settings or the drive do not tell."""
     if "odometry" not in log.fixes or settings.imu.mounting != "auto":
         return None
-    seat = mounting.find_mounting(log.imu, attitude.q, segmentation, log.fixes["odometry"], est.world.gravity)
+    seat = mounting.find_mounting(log.imu, q, segmentation, log.fixes["odometry"], est.world.gravity)
     if seat is not None and mounting.axes_agree(seat.q_bv):
         return replace(seat, q_bv=IDENTITY, how="IMU and vehicle axes agree")
     return seat

@@ -12,8 +12,7 @@ import numpy as np
 
 from . import __version__, assess, tables
 from .errors import AttestError
-from .estimate import IDENTITY, Estimate, Progress, body_axes, estimate, locate, silent
-from .maths import rotation
+from .estimate import Estimate, Progress, body_axes, estimate, locate, silent
 from .mounting import Mounting
 from .nodes.noise import find_noise
 from .nodes.observations import observe
@@ -21,13 +20,13 @@ from .position import Position
 from .prepare import prepare
 from .readers import read as read_file
 from .readers.result import read_result
-from .records import Log, Recording, Result, Segmentation, Warn
+from .records import Array, Log, Recording, Result, Segmentation, Warn
 from .report import Report, write_pages
 from .report.build import Run, build
 from .segment import find_segments
 from .settings import Effective, Settings
 from .smoothers import backward_estimate
-from .track import Attitude, full_rate
+from .track import full_rate
 from .world import find_world
 from .writers import write_track
 from .writers.files import atomic_write, check_output, write_csv_rows, write_table
@@ -56,19 +55,19 @@ def smooth(
         segmentation = find_segments(log, settings)
         est = estimate(log, segmentation, settings, progress)
         progress("position", 0.6)
-        attitude = full_rate(est.nodes, est.smoothed, log.imu.t)
-        place, seat, warnings = locate(log, segmentation, est, attitude, settings)
-        run, columns = _assemble(paths, recordings, log, effective, segmentation, est, attitude, place, seat, warnings)
+        q = full_rate(est.nodes, est.smoothed, log.imu.t)
+        place, seat, warnings = locate(log, segmentation, est, q, settings)
+        run, track = _assemble(paths, recordings, log, effective, segmentation, est, q, place, seat, warnings)
         progress("writing", 0.7)
-        return _write(folder, run, columns, settings, progress)
+        return _write(folder, run, track, settings, progress)
 
 
 def _assemble(
     paths: Sequence[Path], recordings: tuple[Recording, ...], log: Log, effective: Effective,
-    segmentation: Segmentation, est: Estimate, attitude: Attitude, place: Position | None, seat: Mounting | None,
+    segmentation: Segmentation, est: Estimate, q: Array, place: Position | None, seat: Mounting | None,
     warnings: Sequence[Warn],
-) -> tuple[Run, tables.Columns]:  # fmt: skip
-    """Bring everything into body axes, judge it, and make the columns of the track."""
+) -> tuple[Run, tables.Track]:  # fmt: skip
+    """Bring everything into body axes, judge it, and prepare the track."""
     settings = effective.settings
     q_bv, body = body_axes(seat, settings)
     backward = backward_estimate(est.forward, est.smoothed.information)
@@ -88,22 +87,15 @@ def _assemble(
         tuple(paths), recordings, log, effective, est.world, est.noise, segmentation, est.forward, est.smoothed, turned,
         place, seat, body, rows, advice, told, settings.smoothing.smoother,
     )  # fmt: skip
-    if body["axes"] == "imu" or np.array_equal(q_bv, IDENTITY):
-        return run, tables.track_columns(log, attitude, t, place, segmentation, settings.world.frame, None)
-    R = rotation.matrix(q_bv)
-    in_body = Attitude(
-        rotation.continuous(rotation.multiply(attitude.q, q_bv)), attitude.bias @ R, attitude.variance_n,
-        np.abs(attitude.bias_variance @ R**2),
-    )  # fmt: skip
-    return run, tables.track_columns(log, in_body, t, place, segmentation, settings.world.frame, None)
+    return run, tables.Track(log, q, est.smoothed, place, segmentation, q_bv, settings.world.frame)
 
 
-def _write(folder: Path, run: Run, columns: tables.Columns, settings: Settings, progress: Progress) -> dict[str, Any]:
+def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, progress: Progress) -> dict[str, Any]:
     """Write every file of the result; the report comes last."""
     report = build(run)
     metadata = _metadata(run, report)
     for name in settings.output.formats:
-        write_track(columns, metadata, folder / f"track.{name}", name)
+        write_track(track, metadata, folder / f"track.{name}", name)
     t = run.forward.t
     relative = run.forward.heading == "relative"
     nodes = tables.pass_columns(run.log, t, run.passes, run.position, run.segmentation, relative)

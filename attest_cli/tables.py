@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +12,12 @@ from numpy.typing import NDArray
 from .assess import Pass, separation
 from .maths import rotation
 from .position import Position
-from .records import Array, Innovations, Log, Segmentation
-from .track import Attitude, world_variance
+from .records import Array, Innovations, Log, Segmentation, Smoothed
+from .track import world_variance
 
-Columns = dict[str, NDArray[np.generic]]
+Columns = dict[str, NDArray[Any]]
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+BLOCK_ROWS = 1 << 16
 ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 
@@ -32,54 +36,82 @@ def segment_of(t: Array, segmentation: Segmentation) -> tuple[NDArray[np.int32],
     return index[owner], moving[owner]
 
 
-def unwrapped_yaw(yaw: Array) -> Array:
-    """Return yaw, rad, without jumps, its first value in (-pi, pi]."""
-    return np.asarray(np.unwrap(yaw))
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The track at full rate, made block by block: iterate over it (again and again) for blocks of columns.
 
-
-def track_columns(
-    log: Log, attitude: Attitude, nodes_t: Array, position: Position | None, segmentation: Segmentation, frame: str,
-    relative_variance: Array | None,
-) -> Columns:  # fmt: skip
-    """Return the columns of ``track``; ``frame`` ``ned`` turns the world to NED and the body to FRD.
-
-    ``relative_variance`` (nodes,): variance of heading since the start, where heading has a datum of its own.
+    ``q`` (n, 4) attitude of the IMU at its samples; ``smoothed`` the nodes; ``q_bv`` (4,) body axes to the IMU's;
+    ``frame`` ``ned`` turns the world to NED and the body to FRD. Sigmas are interpolated linearly in variance: between
+    nodes 0.1 s apart they are smooth.
     """
-    t, n = log.imu.t, len(log.imu.t)
-    nothing = np.full((n, 3), np.nan)
-    p, v, sigma_p = nothing, nothing, nothing
-    if position is not None:
-        variance = np.einsum("kii->ki", position.P)
-        p, v = position.p, position.v
-        sigma_p = np.sqrt(np.stack([np.interp(t, nodes_t, variance[:, i]) for i in range(3)], axis=1))
-        sigma_p[np.isnan(p)] = np.nan
-    q, sigma, bias = attitude.q, np.sqrt(attitude.variance_n), attitude.bias
-    if frame == "ned":
-        world, body = rotation.from_matrix(ENU_TO_NED), rotation.from_matrix(FLU_TO_FRD)
-        q = rotation.continuous(rotation.multiply(rotation.multiply(world, q), body))
-        p, v, bias = p @ ENU_TO_NED.T, v @ ENU_TO_NED.T, bias @ FLU_TO_FRD
-        sigma, sigma_p = sigma[:, [1, 0, 2]], sigma_p[:, [1, 0, 2]]
-    angles = rotation.roll_pitch_yaw(q)
-    angles[:, 2] = unwrapped_yaw(angles[:, 2])
-    segment, moving = segment_of(t, segmentation)
-    columns: Columns = {"timestamp_ns": log.stamps_ns, "t_s": t}
-    columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}
-    columns |= {f"{name}_deg": np.degrees(angles[:, i]) for i, name in enumerate(("roll", "pitch", "yaw"))}
-    sigma_b = np.sqrt(attitude.bias_variance)
-    columns |= vector("sigma_att_{}_deg", _short(np.degrees(sigma)))
-    columns |= vector("gyro_bias_{}_rad_s", bias) | vector("sigma_gyro_bias_{}_rad_s", _short(sigma_b))
-    columns |= (
-        vector("position_{}_m", p) | vector("sigma_position_{}_m", _short(sigma_p)) | vector("velocity_{}_m_s", v)
-    )
-    columns |= {"segment": segment, "moving": moving}
-    if relative_variance is not None:
-        columns["sigma_heading_relative_deg"] = np.degrees(np.sqrt(np.interp(t, nodes_t, relative_variance)))
-    return columns
+
+    log: Log
+    q: Array
+    smoothed: Smoothed
+    position: Position | None
+    segmentation: Segmentation
+    q_bv: Array
+    frame: str
+
+    def __iter__(self) -> Iterator[Columns]:
+        """Give the columns of ``BLOCK_ROWS`` samples at a time, in the order of the schema."""
+        body, world = self.q_bv, IDENTITY
+        if self.frame == "ned":
+            body, world = rotation.multiply(body, rotation.from_matrix(FLU_TO_FRD)), rotation.from_matrix(ENU_TO_NED)
+        nodes = self._node_columns(rotation.matrix(body), rotation.matrix(world))
+        last_q, last_yaw = IDENTITY, 0.0
+        for lo in range(0, len(self.q), BLOCK_ROWS):
+            rows = slice(lo, lo + BLOCK_ROWS)
+            q = rotation.continuous(rotation.multiply(rotation.multiply(world, self.q[rows]), body))
+            q *= 1.0 if lo == 0 or float(q[0] @ last_q) >= 0.0 else -1.0
+            angles = rotation.roll_pitch_yaw(q)
+            angles[:, 2] = np.unwrap(angles[:, 2])
+            angles[:, 2] += 2 * np.pi * np.round((last_yaw - angles[0, 2]) / (2 * np.pi)) if lo else 0.0
+            last_q, last_yaw = q[-1], float(angles[-1, 2])
+            yield self._columns(rows, q, angles, nodes, rotation.matrix(world))
+
+    def _node_columns(self, R_body: Array, R_world: Array) -> Columns:
+        """Return what is interpolated, at the nodes: bias and variances, in the track's axes."""
+        s = self.smoothed
+        P_world = R_world @ world_variance(s.q, s.P) @ R_world.T
+        P_bias = R_body.T @ s.P[:, 3:, 3:] @ R_body
+        out: Columns = vector("sigma_att_{}_deg", np.einsum("kii->ki", P_world) * np.degrees(1.0) ** 2)
+        out |= vector("gyro_bias_{}_rad_s", s.bias @ R_body) | vector(
+            "sigma_gyro_bias_{}_rad_s", np.einsum("kii->ki", P_bias)
+        )
+        if self.position is not None:
+            P = R_world @ self.position.P @ R_world.T
+            out |= vector("sigma_position_{}_m", np.einsum("kii->ki", P))
+        return out
+
+    def _columns(self, rows: slice, q: Array, angles: Array, nodes: Columns, R_world: Array) -> Columns:
+        t = self.log.imu.t[rows]
+        at = {name: np.interp(t, self.smoothed.t, values) for name, values in nodes.items()}
+        blank = np.full((len(t), 3), np.nan)
+        p, v = (
+            (self.position.p[rows] @ R_world.T, self.position.v[rows] @ R_world.T) if self.position else (blank, blank)
+        )
+        segment, moving = segment_of(t, self.segmentation)
+        columns: Columns = {"timestamp_ns": self.log.stamps_ns[rows], "t_s": t}
+        columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}
+        columns |= {f"{name}_deg": np.degrees(angles[:, i]) for i, name in enumerate(("roll", "pitch", "yaw"))}
+        columns |= _sigmas("sigma_att_{}_deg", at)
+        columns |= {f"gyro_bias_{a}_rad_s": at[f"gyro_bias_{a}_rad_s"] for a in "xyz"} | _sigmas(
+            "sigma_gyro_bias_{}_rad_s", at
+        )
+        columns |= vector("position_{}_m", p) | _sigmas("sigma_position_{}_m", at, p) | vector("velocity_{}_m_s", v)
+        return columns | {"segment": segment, "moving": moving}
 
 
-def _short(sigma: Array) -> NDArray[np.float32]:
-    """Seven digits are plenty for a sigma, and half the file."""
-    return sigma.astype(np.float32)
+def _sigmas(name: str, variances: Columns, known: Array | None = None) -> Columns:
+    """Return three columns of sigmas; seven digits are plenty, and half the file. NaN where ``known`` (n, 3) is."""
+    out: Columns = {}
+    for i, axis in enumerate("xyz"):
+        column = name.format(axis)
+        sigma = np.sqrt(variances[column]) if column in variances else np.asarray(np.nan)
+        shown = sigma if known is None else np.where(np.isnan(known[:, i]), np.nan, sigma)
+        out[column] = shown.astype(np.float32)
+    return out
 
 
 def pass_columns(
@@ -99,7 +131,7 @@ def pass_columns(
         "stop_statistic": np.interp(t, log.imu.t, segmentation.statistic),
     }
     smooth_angles = rotation.roll_pitch_yaw(passes["smoothed"].q)
-    yaw = unwrapped_yaw(smooth_angles[:, 2])
+    yaw = np.unwrap(smooth_angles[:, 2])
     rows, cols = np.triu_indices(6)
     for name, p in passes.items():
         angles = rotation.roll_pitch_yaw(p.q)

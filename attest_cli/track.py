@@ -1,8 +1,7 @@
-"""Back to full rate: attitude, bias and sigma at every IMU sample from the smoothed nodes."""
+"""Back to full rate: the attitude at every IMU sample from the smoothed nodes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,27 +14,15 @@ from .records import Array, Smoothed
 BLOCK_STEPS = 1 << 16  # samples handled together: temporaries stay in cache
 
 
-@dataclass(frozen=True, slots=True)
-class Attitude:
-    """Per IMU sample: ``q`` (n, 4) continuous in sign, ``bias`` (n, 3) rad/s, variances about world axes (n, 3) rad^2
-    and of the bias (n, 3).
-    """
-
-    q: Array
-    bias: Array
-    variance_n: Array
-    bias_variance: Array
-
-
 def world_variance(q: Array, P: Array) -> Array:
     """Return the attitude covariance (n, 3, 3) about world axes, rad^2: ``R P_theta R'``."""
     R = rotation.matrix(q)
     return np.asarray(R @ P[:, :3, :3] @ R.swapaxes(1, 2))
 
 
-def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Attitude:
-    """Propagate every interval from its smoothed node with the smoothed bias and spread the defect at its far end
-    evenly.
+def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Array:
+    """Return the attitude (n, 4) at the IMU samples: every interval propagated from its smoothed node with the smoothed
+    bias, the defect at its far end spread evenly.
 
     Parameters
     ----------
@@ -43,10 +30,9 @@ def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Attitude:
 
     Notes
     -----
-    The defect is what the smoother gave to gyro noise; a bridge of constant rate is its most likely course. Sigmas are
-    interpolated linearly in variance: between nodes 0.1 s apart they are smooth.
+    The defect is what the smoother gave to gyro noise; a bridge of constant rate is its most likely course.
     """
-    q, variance = np.empty((len(t), 4)), world_variance(smoothed.q, smoothed.P)
+    q = np.empty((len(t), 4))
     q[0] = smoothed.q[0]
     bias = 0.5 * (smoothed.bias[1:] + smoothed.bias[:-1])
     bias[nodes.frozen | nodes.gap] = 0.0  # steps of held intervals carry no rate
@@ -55,13 +41,7 @@ def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Attitude:
     for lo, hi in pairwise(cuts):
         rows = slice(*np.searchsorted(nodes.sample_step, [first[lo], first[hi]]).tolist())
         q[1:][rows] = _bridged(nodes, smoothed, bias, t[1:][rows], rows, lo, hi)
-    q = rotation.continuous(rotation.normalise(q))
-    return Attitude(
-        q,
-        _interpolate(t, smoothed.t, smoothed.bias),
-        _interpolate(t, smoothed.t, np.einsum("kii->ki", variance)),
-        _interpolate(t, smoothed.t, np.einsum("kii->ki", smoothed.P)[:, 3:]),
-    )
+    return rotation.continuous(q)
 
 
 def _bridged(nodes: Nodes, smoothed: Smoothed, bias: Array, t: Array, rows: slice, lo: int, hi: int) -> Array:
@@ -74,8 +54,4 @@ def _bridged(nodes: Nodes, smoothed: Smoothed, bias: Array, t: Array, rows: slic
     at = nodes.sample_step[rows] - nodes.steps.first[lo]
     owner = np.repeat(np.arange(hi - lo), steps.count)[at]
     share = np.clip((t - nodes.t[lo + owner]) / np.diff(nodes.t)[lo + owner], 0.0, 1.0)
-    return rotation.multiply(rotation.exp_quaternion(defect_n[owner] * share[:, None]), run[at])
-
-
-def _interpolate(t: Array, nodes_t: Array, values: Array) -> Array:
-    return np.stack([np.interp(t, nodes_t, values[:, i]) for i in range(values.shape[1])], axis=1)
+    return rotation.normalise(rotation.multiply(rotation.exp_quaternion(defect_n[owner] * share[:, None]), run[at]))

@@ -6,8 +6,9 @@ import csv
 import math
 import os
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -82,28 +83,28 @@ def arrow_table(columns: Mapping[str, NDArray[Any]], metadata: Mapping[str, str]
 
 def write_table(columns: Mapping[str, NDArray[Any]], path: Path, metadata: Mapping[str, str] | None = None) -> None:
     """Write columns to Parquet, zstd, floats split by byte; text in ``metadata`` goes to the schema."""
-    write_arrow(arrow_table(columns, metadata), path)
+    write_arrow([arrow_table(columns, metadata)], path)
 
 
-def write_arrow(table: pa.Table, path: Path) -> None:
-    """Write an Arrow table to Parquet with page checksums, whole or not at all."""
+def write_arrow(tables: Iterable[pa.Table], path: Path) -> None:
+    """Write Arrow tables of one schema to Parquet, a row group each, with page checksums, whole or not at all."""
+    parts = iter(tables)
+    first = next(parts)
     floats, texts = [], []
-    for field in table.schema:
+    for field in first.schema:
         if pa.types.is_fixed_size_list(field.type):
             floats.append(f"{field.name}.list.element")
         elif pa.types.is_floating(field.type):
             floats.append(field.name)
         elif pa.types.is_string(field.type):
             texts.append(field.name)
-    with atomic_write(path) as temporary:
-        pq.write_table(
-            table,
-            temporary,
-            compression="zstd",
-            use_dictionary=texts,
-            use_byte_stream_split=floats,
-            write_page_checksum=True,
-        )
+    how: dict[str, Any] = {"compression": "zstd", "use_dictionary": texts, "use_byte_stream_split": floats}
+    with (
+        atomic_write(path) as temporary,
+        pq.ParquetWriter(temporary, first.schema, write_page_checksum=True, **how) as writer,
+    ):
+        for table in chain([first], parts):
+            writer.write_table(table)
 
 
 def write_csv_rows(rows: Sequence[Mapping[str, Any]], path: Path, columns: Sequence[str] | None = None) -> None:

@@ -63,7 +63,7 @@ def _write_csv(recording: Recording, path: Path) -> tuple[str, ...]:
     stamps_ns, columns, left_out = _table(recording)
     header = [name if not unit_name else f"{name} [{unit_name}]" for name, _, unit_name in columns]
     arrays = {"timestamp_ns": pa.array(stamps_ns)} | {name: pa.array(values) for name, values, _ in columns}
-    write_text(pa.table(arrays), path, ["timestamp_ns", *header], [])
+    write_text([pa.table(arrays).rename_columns(["timestamp_ns", *header])], path, [])
     return left_out
 
 
@@ -72,7 +72,7 @@ def _write_parquet(recording: Recording, path: Path) -> tuple[str, ...]:
     fields = [pa.field("timestamp_ns", pa.int64())]
     fields += [pa.field(name, pa.float64(), metadata={"unit": u} if u else None) for name, _, u in columns]
     arrays = [pa.array(stamps_ns), *(pa.array(values, from_pandas=True) for _, values, _ in columns)]
-    write_arrow(pa.table(arrays, schema=pa.schema(fields)), path)
+    write_arrow([pa.table(arrays, schema=pa.schema(fields))], path)
     return left_out
 
 

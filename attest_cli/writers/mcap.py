@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import Blocks
 from .ros2 import Bag, Message, bag, diagonal, quaternion, vector
 
 ODOMETRY_TOPIC, IMU_TOPIC = "/attest/odometry", "/attest/imu"
@@ -18,27 +20,33 @@ IMU = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 NOT_PROVIDED = -1.0  # first entry of a covariance, REP-145
 
 
-def write(columns: Mapping[str, NDArray[Any]], metadata: Mapping[str, str], path: Path) -> None:
+def write(blocks: Blocks, metadata: Mapping[str, str], path: Path) -> None:
     """Write a track; see ``writers``.
 
     Odometry: pose in the frame of the track, its covariance about the world's axes; twist in body axes.
     Columns ``gyro_x`` ... ``accel_z`` (body axes, without bias) add the Imu topic.
     """
-    stamps = columns["timestamp_ns"].tolist()
     frame = "map_ned" if metadata.get("frame", "").lower().startswith("ned") else "map"
-    attitude = _table(columns, "q_w", "q_x", "q_y", "q_z")
-    sigma = np.radians(_table(columns, "sigma_att_x_deg", "sigma_att_y_deg", "sigma_att_z_deg"))
-    position = _table(columns, "position_x_m", "position_y_m", "position_z_m")
-    position_sigma = _table(columns, "sigma_position_x_m", "sigma_position_y_m", "sigma_position_z_m")
-    velocity_b = _to_body(attitude, _table(columns, "velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s"))
-    imu = _table(columns, *IMU) if all(name in columns for name in IMU) else None
-    pose = np.concatenate([attitude, position, np.square(position_sigma), np.square(sigma)], axis=1).tolist()
-    with bag(path, stamps[0] if stamps else 0) as out:
+    parts = iter(blocks)
+    first = next(parts)
+    with bag(path, int(first["timestamp_ns"][0])) as out:
         out.note("attest", metadata)
-        for k, stamp in enumerate(stamps):
-            out.send(ODOMETRY_TOPIC, "nav_msgs/Odometry", stamp, frame, _odometry(pose[k], velocity_b[k].tolist()))
-            if imu is not None:
-                _send_imu(out, stamp, attitude[k].tolist(), imu[k].tolist())
+        for block in chain([first], parts):
+            _send_block(out, block, frame)
+
+
+def _send_block(out: Bag, block: Mapping[str, NDArray[Any]], frame: str) -> None:
+    attitude = _table(block, "q_w", "q_x", "q_y", "q_z")
+    sigma = np.radians(_table(block, "sigma_att_x_deg", "sigma_att_y_deg", "sigma_att_z_deg"))
+    position = _table(block, "position_x_m", "position_y_m", "position_z_m")
+    position_sigma = _table(block, "sigma_position_x_m", "sigma_position_y_m", "sigma_position_z_m")
+    velocity_b = _to_body(attitude, _table(block, "velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s"))
+    imu = _table(block, *IMU) if all(name in block for name in IMU) else None
+    pose = np.concatenate([attitude, position, np.square(position_sigma), np.square(sigma)], axis=1).tolist()
+    for k, stamp in enumerate(block["timestamp_ns"].tolist()):
+        out.send(ODOMETRY_TOPIC, "nav_msgs/Odometry", stamp, frame, _odometry(pose[k], velocity_b[k].tolist()))
+        if imu is not None:
+            _send_imu(out, stamp, attitude[k].tolist(), imu[k].tolist())
 
 
 def _odometry(pose: list[float], velocity_b: list[float]) -> Message:

@@ -1,16 +1,14 @@
-"""Track to Parquet; frame, convention, version and provenance stand in the metadata of the schema."""
+"""Track to Parquet, a row group per block; frame, convention, version and provenance stand in the schema's metadata."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from numpy.typing import NDArray
-
-from .files import write_table
+from . import Blocks
+from .files import arrow_table, write_arrow
 
 
-def write(columns: Mapping[str, NDArray[Any]], metadata: Mapping[str, str], path: Path) -> None:
+def write(blocks: Blocks, metadata: Mapping[str, str], path: Path) -> None:
     """Write a track; see ``writers``."""
-    write_table(columns, path, metadata)
+    write_arrow((arrow_table(block, metadata) for block in blocks), path)

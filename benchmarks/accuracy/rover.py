@@ -36,8 +36,8 @@ PASSES = ("forward", "two-filter", "paper", "Gauss-Newton")
 WRONG_DEG = 170.0
 GATE = 0.9999  # share of good measurements the gate lets through, attest's default
 HEADER = (
-    f"{'':<14}{'attitude':>10}{'middle':>9}{'forward/':>10}{'bias':>9}{'NEES':>8}{'NEES':>8}{'NEES':>8}{'spread':>9}{'CPU':>8}\n"
-    f"{'':<14}{'mrad':>10}{'third':>9}{'this, mid':>10}{'urad/s':>9}{'6':>8}{'att':>8}{'bias':>8}{'of 6':>9}{'s':>8}"
+    f"{'':<14}{'attitude':>10}{'middle':>9}{'forward/':>10}{'bias':>9}{'NEES':>9}{'NEES':>9}{'NEES':>9}{'spread':>9}{'CPU':>8}\n"
+    f"{'':<14}{'mrad':>10}{'third':>9}{'this, mid':>10}{'urad/s':>9}{'6':>9}{'att':>9}{'bias':>9}{'of 6':>9}{'s':>8}"
 )
 
 
@@ -120,8 +120,8 @@ def table(name: str, seeds: range) -> str:
         spread = np.std([s.nees for s in scores[which]], ddof=1) / np.sqrt(len(seeds)) if len(seeds) > 1 else np.nan
         cells = (mrad(p.attitude), mrad(p.middle), np.sqrt(ahead.middle / p.middle), 1e3 * mrad(p.bias))
         lines.append(
-            f"{which:<14}{cells[0]:>10.2f}{cells[1]:>9.2f}{cells[2]:>10.1f}{cells[3]:>9.1f}{p.nees:>8.2f}"
-            f"{p.nees_attitude:>8.2f}{p.nees_bias:>8.2f}{spread:>9.2f}{cpu[which]:>8.1f}"
+            f"{which:<14}{cells[0]:>10.2f}{cells[1]:>9.2f}{cells[2]:>10.1f}{cells[3]:>9.1f}{p.nees:>9.3g}"
+            f"{p.nees_attitude:>9.3g}{p.nees_bias:>9.3g}{spread:>9.2g}{cpu[which]:>8.1f}"
         )
     lines.append(f"worst drive of Gauss-Newton: {mrad(worst.attitude):.2f} mrad, NEES {worst.nees:.2f}")
     return "\n".join(lines)

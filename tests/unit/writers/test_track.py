@@ -40,7 +40,7 @@ def odometry(path: Path) -> list[Any]:
 
 
 def test_parquet_holds_all_columns_and_the_metadata(tmp_path: Path, track: dict[str, Any]) -> None:
-    write_track(track, META, tmp_path / "track.parquet", "parquet")
+    write_track([track], META, tmp_path / "track.parquet", "parquet")
     table = pq.read_table(tmp_path / "track.parquet")
     assert table.column_names == list(track)
     for name, column in track.items():
@@ -50,7 +50,7 @@ def test_parquet_holds_all_columns_and_the_metadata(tmp_path: Path, track: dict[
 
 def test_csv_is_exact_and_opens_with_pandas(tmp_path: Path, track: dict[str, Any]) -> None:
     track["position_x_m"][3] = np.nan
-    write_track(track, META, tmp_path / "track.csv", "csv")
+    write_track([track], META, tmp_path / "track.csv", "csv")
     lines = (tmp_path / "track.csv").read_text().splitlines()
     assert lines[:4] == [
         "# frame: enu",
@@ -68,7 +68,7 @@ def test_csv_is_exact_and_opens_with_pandas(tmp_path: Path, track: dict[str, Any
 
 
 def test_tum_is_exact_to_the_nanosecond_and_scalar_last(tmp_path: Path, track: dict[str, Any]) -> None:
-    write_track(track, META, tmp_path / "track.tum", "tum")
+    write_track([track], META, tmp_path / "track.tum", "tum")
     text = [line for line in (tmp_path / "track.tum").read_text().splitlines() if not line.startswith("#")]
     first = text[1].split(" ")
     assert first[0] == "1780308000.010000000"
@@ -81,14 +81,14 @@ def test_tum_without_position_says_so(tmp_path: Path, track: dict[str, Any]) -> 
     for axis in "xyz":
         track[f"position_{axis}_m"][:] = np.nan
     track["timestamp_ns"] = np.array([-5, *range(49)])
-    write_track(track, META, tmp_path / "track.tum", "tum")
+    write_track([track], META, tmp_path / "track.tum", "tum")
     text = (tmp_path / "track.tum").read_text().splitlines()
     assert "# no position: tx ty tz are zero" in text
     assert next(line for line in text if not line.startswith("#")).startswith("-0.000000005 0 0 0 ")
 
 
 def test_mcap_holds_pose_covariance_and_body_velocity(tmp_path: Path, track: dict[str, Any]) -> None:
-    write_track(track, META, tmp_path / "track.mcap", "mcap")
+    write_track([track], META, tmp_path / "track.mcap", "mcap")
     messages = odometry(tmp_path / "track.mcap")
     assert len(messages) == 50
     message, k = messages[7], 7
@@ -106,7 +106,7 @@ def test_mcap_holds_pose_covariance_and_body_velocity(tmp_path: Path, track: dic
 
 def test_mcap_without_position_is_marked_not_provided(tmp_path: Path, track: dict[str, Any]) -> None:
     lean = {name: column for name, column in track.items() if "position" not in name and "velocity" not in name}
-    write_track(lean, META, tmp_path / "track.mcap", "mcap")
+    write_track([lean], META, tmp_path / "track.mcap", "mcap")
     message = odometry(tmp_path / "track.mcap")[0]
     assert (message.pose.covariance[0], message.twist.covariance[0]) == (-1.0, -1.0)
     assert message.pose.pose.position.x == 0.0
@@ -114,7 +114,7 @@ def test_mcap_without_position_is_marked_not_provided(tmp_path: Path, track: dic
 
 def test_mcap_with_imu_columns_has_the_imu_too(tmp_path: Path, track: dict[str, Any], rng: np.random.Generator) -> None:
     track |= {name: rng.normal(size=50) for name in ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")}
-    write_track(track, META, tmp_path / "track.mcap", "mcap")
+    write_track([track], META, tmp_path / "track.mcap", "mcap")
     with (tmp_path / "track.mcap").open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         imus = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/attest/imu"])]
@@ -124,6 +124,6 @@ def test_mcap_with_imu_columns_has_the_imu_too(tmp_path: Path, track: dict[str, 
 @pytest.mark.parametrize("format_name", list(WRITERS))
 def test_the_same_track_gives_the_same_bytes(tmp_path: Path, track: dict[str, Any], format_name: str) -> None:
     for name in "ab":
-        write_track(track, META, tmp_path / name, format_name)
+        write_track([track], META, tmp_path / name, format_name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]

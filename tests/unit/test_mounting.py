@@ -1,0 +1,116 @@
+"""The IMU's seat in the vehicle is found from wheel speed and specific force, and its sigma holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from support.drives import Job, simulated
+
+from attest_cli.maths import rotation
+from attest_cli.mounting import Mounting, axes_agree, find_mounting
+from attest_cli.records import Imu
+from attest_cli.simulate import RoverOptions
+
+Array = NDArray[np.float64]
+GRAVITY = 9.80665
+SEATS = {"straight": (0, 0, 0), "turned left": (0, 0, 90), "on its side": (90, 0, 0), "upside down, askew": (175, 20, -140)}
+
+
+ENCODER = 0.005  # m/s: wheel speed of a good encoder; the simulator's 0.03 is a tenth of a rover's speed
+
+
+@pytest.fixture(scope="module")
+def work() -> Job:
+    return with_encoder(RoverOptions(seed=81, motions=3, motion_s=(60.0, 120.0), odometry=True))
+
+
+def with_encoder(options: RoverOptions) -> Job:
+    """A drive whose odometry has the noise of a good encoder."""
+    work = simulated(options)
+    fixes = work.log.fixes["odometry"]
+    noise = np.random.default_rng([options.seed, 1]).normal(0.0, ENCODER, len(fixes.t))
+    values = np.zeros_like(fixes.values)
+    values[:, 0] = work.truth(fixes.t).speed + noise
+    return replace(work, log=replace(work.log, fixes={"odometry": replace(fixes, values=values)}))
+
+
+def seated(work: Job, R_vb: Array, late_s: float = 0.0, speed: float = 1.0) -> Mounting | None:
+    """Find the seat of an IMU bolted on with ``R_vb``, true attitude, odometry stamps ``late_s`` late."""
+    imu = Imu(work.log.imu.t, work.log.imu.gyro_b @ R_vb, work.log.imu.accel_b @ R_vb)
+    q = rotation.multiply(work.truth(imu.t).q_nb, rotation.from_matrix(R_vb))
+    fixes = work.log.fixes["odometry"]
+    return find_mounting(imu, q, work.segmentation, replace(fixes, t=fixes.t + late_s, values=speed * fixes.values), GRAVITY)
+
+
+def forward_error_deg(found: Mounting, R_vb: Array) -> float:
+    """Angle between the forward axis found and the true one, both in the IMU's axes."""
+    true_b = R_vb.T[:, 0]
+    return float(np.degrees(np.arccos(np.clip(rotation.matrix(found.q_bv)[:, 0] @ true_b, -1.0, 1.0))))
+
+
+@pytest.mark.parametrize("name", SEATS)
+def test_forward_axis_is_found_within_four_sigma(work: Job, name: str) -> None:
+    R_vb = Rotation.from_euler("xyz", SEATS[name], degrees=True).as_matrix()
+    found = seated(work, R_vb)
+    assert found is not None
+    error = forward_error_deg(found, R_vb)
+    print(f"{name}: forward axis {error:.2f} deg off, sigma {found.sigma_deg:.2f} deg, lag {found.lag:+.2f} s")
+    assert error < 4.0 * found.sigma_deg
+    assert found.sigma_deg < 5.0
+    assert found.lag == 0.0
+    R = rotation.matrix(found.q_bv)
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert (R_vb.T[:, 2] @ R[:, 2]) > np.cos(np.radians(15.0))  # up is the mean slope of the stops: only roughly the vehicle's
+
+
+def test_the_seat_does_not_depend_on_the_imus_axes(work: Job) -> None:
+    R_vb = Rotation.from_euler("xyz", SEATS["upside down, askew"], degrees=True).as_matrix()
+    straight, turned = seated(work, np.eye(3)), seated(work, R_vb)
+    assert straight is not None
+    assert turned is not None
+    again = rotation.multiply(rotation.from_matrix(R_vb), turned.q_bv)
+    assert np.abs(rotation.log_quaternion(rotation.multiply(rotation.conjugate(straight.q_bv), again))).max() < 1e-6
+    assert axes_agree(straight.q_bv)
+    assert not axes_agree(turned.q_bv)
+
+
+@pytest.mark.parametrize("encoder", [True, False], ids=["good encoder", "3 cm/s"])
+def test_four_sigma_holds_over_drives(encoder: bool) -> None:
+    ratios = []
+    for seed in range(82, 90):
+        options = RoverOptions(seed=seed, motions=4, motion_s=(60.0, 90.0), odometry=True)
+        found = seated(with_encoder(options) if encoder else simulated(options), np.eye(3))
+        if found is not None:
+            ratios.append(forward_error_deg(found, np.eye(3)) / found.sigma_deg)
+    print("forward axis, sigma:", np.round(ratios, 1))
+    assert len(ratios) >= (8 if encoder else 3)
+    assert max(ratios) < 4.0
+
+
+@pytest.mark.parametrize("late_s", [0.4, -0.3])
+def test_late_odometry_is_noticed(work: Job, late_s: float) -> None:
+    found = seated(work, np.eye(3), late_s)
+    assert found is not None
+    assert found.lag == pytest.approx(late_s, abs=0.101)
+
+
+def test_a_seat_that_the_drive_does_not_show_is_not_invented(work: Job) -> None:
+    assert seated(work, np.eye(3), speed=0.0) is None  # wheels that never turned
+    assert seated(work, np.eye(3), speed=10.0) is None  # km/h taken for something else
+    no_stops = replace(work.segmentation, segments=work.segmentation.motions)
+    fixes, imu = work.log.fixes["odometry"], work.log.imu
+    q = work.truth(imu.t).q_nb
+    assert find_mounting(imu, q, no_stops, fixes, GRAVITY) is None
+    short = replace(work.segmentation, segments=work.segmentation.segments[:1])
+    assert find_mounting(imu, q, short, fixes, GRAVITY) is None
+
+
+def test_axes_agree_within_ten_degrees() -> None:
+    assert axes_agree(rotation.exp_quaternion(np.radians([0.0, 9.9, 0.0])))
+    assert not axes_agree(rotation.exp_quaternion(np.radians([0.0, 0.0, 10.1])))
+    assert axes_agree(-np.array([1.0, 0.0, 0.0, 0.0]))

@@ -1,0 +1,223 @@
+"""Position: against the analytic truth with the true attitude, its sigma against many drives, and what it says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.drives import Job, nees, simulated
+from support.monte_carlo import band
+
+from attest_cli import position
+from attest_cli.filters import indirect
+from attest_cli.maths import rotation
+from attest_cli.maths.propagation import transition
+from attest_cli.position import Position
+from attest_cli.records import Imu, Smoothed
+from attest_cli.simulate import RoverOptions
+from attest_cli.smoothers import SMOOTHERS
+from attest_cli.track import full_rate
+
+Array = NDArray[np.float64]
+GRAVITY = 9.80665
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Drive:
+    work: Job
+    smoothed: Smoothed
+    q: Array
+
+    @property
+    def t(self) -> Array:
+        return self.work.log.imu.t
+
+    def inertial(self, q: Array | None = None, imu: Imu | None = None, literal: bool = False) -> Position:
+        w = self.work
+        return position.inertial_position(
+            imu or w.log.imu, self.q if q is None else q, w.nodes, self.smoothed, w.segmentation, w.settings, GRAVITY, literal
+        )
+
+    def odometry(self, q_bv: Array = LEVEL) -> Position:
+        w = self.work
+        return position.odometry_position(
+            w.log.imu, self.q, q_bv, self.smoothed, w.segmentation, w.log.fixes["odometry"], w.settings
+        )
+
+    def error(self, p: Position, t: Array | None = None) -> Array:
+        """Position error at the IMU samples, or at times ``t``."""
+        truth = self.work.truth(self.t)
+        e = p.p - (truth.position_n - truth.position_n[0])
+        return e if t is None else np.stack([np.interp(t, self.t, e[:, i]) for i in range(3)], axis=1)
+
+
+def drive(**options: object) -> Drive:
+    work = simulated(RoverOptions(**options))  # type: ignore[arg-type]
+    smoothed = SMOOTHERS["two-filter"](indirect.run(work.nodes, work.start))
+    return Drive(work, smoothed, full_rate(work.nodes, smoothed, work.log.imu.t).q)
+
+
+@pytest.fixture(scope="module")
+def short() -> Drive:
+    return drive(seed=300, motions=3, motion_s=(20.0, 40.0), odometry=True)
+
+
+@pytest.mark.parametrize(("literal", "limit"), [(False, 1e-4), (True, 1e-2)])
+def test_true_attitude_and_force_give_the_true_path(short: Drive, literal: bool, limit: float) -> None:
+    """A hundred seconds without sensor errors: strapdown to a tenth of a millimetre, the paper's Euler steps to a centimetre."""
+    truth = short.work.truth(short.t)
+    found = short.inertial(truth.q_nb, replace(short.work.log.imu, accel_b=truth.force_b), literal)
+    known = np.isfinite(found.p[:, 0])
+    error = np.abs(short.error(found)[known]).max()
+    print(f"literal {literal}: position error {error:.1e} m")
+    assert known.mean() > 0.97
+    assert error < limit
+    assert np.abs(found.v[known] - truth.velocity_n[known]).max() < (2e-3 if not literal else 2e-2)  # vibration between two samples
+    assert found.method == ("literal" if literal else "strapdown")
+    path = np.linalg.norm(np.diff(truth.position_n, axis=0), axis=1)
+    for s in short.work.segmentation.motions:
+        assert found.distance[s.index] == pytest.approx(path[s.first : s.last].sum(), rel=0.01)
+
+
+def test_strapdown_is_better_than_literal_steps(short: Drive) -> None:
+    truth = short.work.truth(short.t)
+    clean = replace(short.work.log.imu, accel_b=truth.force_b)
+    errors = [np.nanmax(np.abs(short.error(short.inertial(truth.q_nb, clean, literal)))) for literal in (False, True)]
+    assert errors[0] < 0.1 * errors[1]
+
+
+def test_a_stop_holds_position_and_velocity(short: Drive) -> None:
+    found = short.inertial()
+    for s in short.work.segmentation.stops:
+        rows = (short.t > s.used_start + 0.01) & (short.t < s.used_end - 0.01)
+        assert np.ptp(found.p[rows], axis=0).max() < 1e-12
+        assert not found.v[rows].any()
+    assert set(found.closing) == {s.index for s in short.work.segmentation.motions}
+    assert all(0.0 < v < 1.0 for v in found.closing.values())
+
+
+def test_knowing_the_end_at_rest_helps(short: Drive) -> None:
+    """The same motions with their closing stop taken away are worse."""
+    stops = short.work.segmentation.stops
+    segments = short.work.segmentation.segments[:2]
+    last = segments[1]
+    open_end = replace(short, work=replace(short.work, segmentation=replace(short.work.segmentation, segments=segments)))
+    rows = (short.t > last.start) & (short.t < stops[1].used_start)
+    closed, opened = (float(np.sqrt(np.nanmean(d.error(d.inertial())[rows] ** 2))) for d in (short, open_end))
+    print(f"first motion: {closed:.2f} m closed, {opened:.2f} m open")
+    assert closed < opened
+    sigma = [float(np.trace(d.inertial().P[np.searchsorted(d.smoothed.t, last.end) - 5])) for d in (short, open_end)]
+    assert sigma[0] < sigma[1]
+
+
+def test_inertial_sigma_holds() -> None:
+    """NEES of the end of one motion over independent drives, in the chi-square band of 99.99 %."""
+    found = {False: [], True: []}
+    for seed in range(300, 312):
+        d = drive(seed=seed, motions=1, motion_s=(20.0, 40.0))
+        for literal, rows in found.items():
+            p = d.inertial(literal=literal)
+            k = np.flatnonzero(np.isfinite(p.P[:, 0, 0]))[-1:]
+            rows.append(float(nees(d.error(p, d.smoothed.t[k]), p.P[k])[0]))
+    low, high = band(3 * 12)
+    for literal, rows in found.items():
+        mean = float(np.mean(rows)) / 3
+        print(f"literal {literal}: NEES per axis {mean:.2f}, band {low:.2f} to {high:.2f}")
+        assert low < mean < high
+
+
+def test_odometry_is_a_useful_position(short: Drive) -> None:
+    found = short.odometry()
+    error, total = np.abs(short.error(found)).max(), sum(found.distance.values())
+    print(f"odometry: {error:.2f} m over {total:.0f} m")
+    assert error < 0.03 * total
+    assert found.usable
+    assert found.method == "odometry"
+    assert np.isfinite(found.P).all()
+    assert np.all(np.diff(np.trace(found.P, axis1=1, axis2=2)) > -1e-3)
+    assert not found.P[0].any()
+
+
+def test_odometry_sigma_is_not_too_small() -> None:
+    """Slip counts as lasting a second, the simulated noise is white: the sigma may be wide, but must not be narrow."""
+    rows = []
+    for seed in range(320, 328):
+        d = drive(seed=seed, motions=1, motion_s=(60.0, 90.0), odometry=True)
+        p = d.odometry()
+        rows.append(float(nees(d.error(p)[-1:], p.P[-1:])[0]))
+    mean = float(np.mean(rows)) / 3
+    print(f"odometry: NEES per axis {mean:.2f}")
+    assert 0.02 < mean < band(3 * 8)[1]
+
+
+def test_odometry_follows_the_vehicle_not_the_imu(short: Drive) -> None:
+    """The IMU turned in the vehicle and the turn given: the same path."""
+    q_bv = rotation.exp_quaternion(np.array([0.2, -0.4, 1.2]))
+    turned = replace(short, q=rotation.multiply(short.q, rotation.conjugate(q_bv)))
+    smoothed = replace(short.smoothed, q=rotation.multiply(short.smoothed.q, rotation.conjugate(q_bv)))
+    found, straight = replace(turned, smoothed=smoothed).odometry(q_bv), short.odometry()
+    assert np.abs(found.p - straight.p).max() < 1e-9
+
+
+def test_a_speed_without_sides_is_forward_speed(short: Drive) -> None:
+    fixes = short.work.log.fixes["odometry"]
+    values = fixes.values.copy()
+    values[:, 1:] = np.nan
+    log = replace(short.work.log, fixes={"odometry": replace(fixes, values=values)})
+    found = replace(short, work=replace(short.work, log=log)).odometry()
+    values[:, 1:] = 0.0
+    log = replace(short.work.log, fixes={"odometry": replace(fixes, values=values)})
+    assert np.array_equal(found.p, replace(short, work=replace(short.work, log=log)).odometry().p)
+
+
+def test_a_long_inertial_drive_says_that_it_is_not_usable() -> None:
+    d = drive(seed=301, motions=1, motion_s=(120.0, 150.0), scenario="S2")
+    found = d.inertial()
+    assert not found.usable
+    assert np.sqrt(np.nanmax(found.P[:, 0, 0] + found.P[:, 1, 1])) > 0.1 * sum(found.distance.values())
+
+
+def test_usable_is_a_tenth_of_the_distance() -> None:
+    P = np.zeros((3, 3, 3))
+    P[2, 0, 0], P[2, 1, 1], P[2, 2, 2] = 0.36, 0.64, 100.0  # one metre on the ground
+    assert position._usable(P, {2: 6.0, 4: 4.001})
+    assert not position._usable(P, {2: 6.0, 4: 3.999})
+    assert not position._usable(np.full((3, 3, 3), np.nan), {})
+
+
+def test_a_log_that_starts_in_motion_has_no_inertial_position_before_its_first_stop(short: Drive) -> None:
+    segmentation = replace(short.work.segmentation, segments=short.work.segmentation.segments[1:])
+    found = replace(short, work=replace(short.work, segmentation=segmentation)).inertial()
+    first = segmentation.stops[0]
+    assert np.isnan(found.p[short.t < first.used_start - 0.1]).all()
+    after = (short.t > first.used_start + 0.1) & (short.t < segmentation.stops[-1].used_end - 0.1)
+    assert np.isfinite(found.p[after]).all()
+
+
+def test_the_error_chain_is_the_smoothers_own(short: Drive) -> None:
+    """``P`` and lag-one covariances come back from ``F`` and ``W``; without later fixes ``F`` is the filter's transition."""
+    chain, s = position.markov(short.smoothed), short.smoothed
+    R = rotation.matrix(s.q)
+    T = np.zeros((len(s.t), 6, 6))
+    T[:, :3, :3], T[:, 3:, 3:] = R, np.eye(3)
+    assert np.allclose(chain.P, T @ s.P @ T.swapaxes(1, 2), rtol=1e-9, atol=1e-20)
+    again = chain.F @ chain.P[:-1] @ chain.F.swapaxes(1, 2) + chain.W
+    sigma = np.sqrt(np.einsum("kii->ki", chain.P))
+    assert np.abs((again - chain.P[1:]) / (sigma[1:, :, None] * sigma[1:, None])).max() < 1e-9
+    back = chain.P[:-1] @ chain.F.swapaxes(1, 2)
+    assert np.abs((back - T[:-1] @ s.cross @ T[1:].swapaxes(1, 2)) / (sigma[:-1, :, None] * sigma[1:, None])).max() < 1e-9
+    assert np.linalg.eigvalsh(chain.W / (sigma[1:, :, None] * sigma[1:, None])).min() > -1e-9
+
+
+def test_the_chain_of_a_forward_pass_turns_with_the_gyro() -> None:
+    d = drive(seed=302, motions=1, motion_s=(20.0, 25.0))
+    run = indirect.run(d.work.nodes, d.work.start)
+    chain = position.markov(SMOOTHERS["none"](run))
+    k = int(np.flatnonzero(run.moving)[20])
+    R = rotation.matrix(run.q)
+    Phi, _ = transition(np.zeros((1, 3)), np.array([run.t[k + 1] - run.t[k]]), 0.0, 0.0)
+    assert np.allclose(chain.F[k][:3, :3], np.eye(3), atol=1e-6)  # about world axes an attitude error stays
+    assert np.allclose(chain.F[k][:3, 3:], R[k] @ Phi[0][:3, 3:], atol=1e-3)
