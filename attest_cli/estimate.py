@@ -28,6 +28,8 @@ Progress = Callable[[str, float], None]
 AUTO_PASSES = 6
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
+BENT_SHARE = 1e-3  # of the nodes
+DOUBTFUL_SHARE = 0.02  # of the measurements refused: the trajectory may be the one at fault
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
@@ -109,15 +111,27 @@ def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Setting
     smoothed = SMOOTHERS[cfg.smoother](forward)
     if cfg.smoother not in {"two-filter", "rts"}:
         return smoothed
-    rejected = float(np.mean(~forward.innovations.used)) if len(forward.innovations.used) else 0.0
-    doubtful = forward.start_in_motion or rejected > gauss_newton.DOUBTFUL_SHARE
-    passes = (AUTO_PASSES if doubtful else 0) if cfg.iterations == "auto" else int(cfg.iterations)
+    passes = (AUTO_PASSES if doubtful(forward, smoothed) else 0) if cfg.iterations == "auto" else int(cfg.iterations)
     if passes == 0:
         return smoothed
     again = nodes.rebuild(smoothed.bias)
     return gauss_newton.refine(
         again, start, smoothed, forward.innovations, passes, cfg.gate_probability, fixed=cfg.iterations != "auto"
     )
+
+
+def doubtful(forward: FilterRun, smoothed: Smoothed) -> bool:
+    """Return whether the linearisation about the forward pass may have bent the result.
+
+    It may where the log starts in motion, where many measurements were refused, or where the smoother moved nodes so
+    far that turn times tilt, the second-order term, passes their sigma.
+    """
+    refused = float(np.mean(~forward.innovations.used)) if len(forward.innovations.used) else 0.0
+    moved_b = rotation.log_quaternion(rotation.multiply(rotation.conjugate(forward.q), smoothed.q))
+    tilt = np.linalg.norm(rotation.rotate(forward.q, moved_b)[:, :2], axis=1)
+    least = np.sqrt(np.einsum("kii->ki", smoothed.P[:, :3, :3]).min(axis=1))
+    bent = 0.5 * np.linalg.norm(moved_b, axis=1) * tilt > least
+    return forward.start_in_motion or refused > DOUBTFUL_SHARE or float(np.mean(bent)) > BENT_SHARE
 
 
 def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:

@@ -67,6 +67,7 @@ def gravity_at_stops(
 ) -> list[Observation]:
     """One update per stop: the accelerometer bias is shared by all its samples, so they do not average it away.
 
+    It stands at the start of the stop, whose attitude is frozen: level first, then heading, keeps updates near linear.
     Without zero rate the attitude is not frozen, and gravity every second is what shows the gyro's bias: blocks of a
     second, each with so much noise that together they know no more than the accelerometer bias lets them.
     """
@@ -78,10 +79,11 @@ def gravity_at_stops(
         blocks = 1 if settings.smoothing.zero_rate else max(1, int(span / STOP_BLOCK_S))
         variance = noise.accel_density**2 * blocks / span + blocks * settings.imu.accel_bias_sigma**2
         for rows in np.array_split(np.arange(lo, hi), blocks):
-            mean, middle = log.imu.accel_b[rows].mean(axis=0), float(np.mean(log.imu.t[rows]))
+            mean = log.imu.accel_b[rows].mean(axis=0)
+            when = s.used_start if settings.smoothing.zero_rate else float(np.mean(log.imu.t[rows]))
             up = (mean / np.linalg.norm(mean))[None]
             R = variance / world.gravity**2 * np.eye(2)
-            out.append(Observation("gravity", _up(), middle, np.array([middle]), up, R, True))
+            out.append(Observation("gravity", _up(), when, np.array([when]), up, R, True))
     return out
 
 
@@ -221,9 +223,8 @@ def _magnetometer(
     for s in segmentation.stops:
         g = np.flatnonzero((fixes.t >= s.used_start) & (fixes.t <= s.used_end))
         if len(g):
-            middle = 0.5 * (s.used_start + s.used_end)
-            mean = fixes.values[g].mean(axis=0)[None]
-            out.append(Observation("magnetometer", sensor, middle, np.array([middle]), mean, np.array([[place]]), True))
+            mean, when = fixes.values[g].mean(axis=0)[None], s.used_start
+            out.append(Observation("magnetometer", sensor, when, np.array([when]), mean, np.array([[place]]), True))
     if policy == "always" or not segmentation.stops:
         moving = np.flatnonzero(~still)
         bins = np.floor(fixes.t[moving])

@@ -13,7 +13,6 @@ from ..nodes import Nodes
 from ..records import Array, Innovations, Smoothed
 
 CONVERGED = 1e-3  # of a sigma: the largest change of any state in the last pass
-DOUBTFUL_SHARE = 0.02  # of measurements rejected by the forward filter: then its trajectory may be the one at fault
 
 Kept = set[tuple[int, str]]  # (node, role) of the measurements in use
 
