@@ -75,9 +75,9 @@ def _tell(report: Mapping[str, Any], folder: Path, console: Console) -> None:
         console.say((f"  {what:<{label}}  ", "mute"), f"{number:<{value}}", (f"  {note}" if note else "", "mute"))
     for warning in report["warnings"]:
         console.warn(warning["message"], warning["hint"], "FAIL" if warning["lost"] else "WARN")
-    told = {warning["message"] for warning in report["warnings"]}
+    told = {warning["code"] for warning in report["warnings"]}
     for check in report["checks"]:
-        if check["status"] != "PASS" and check["fact"] not in told:
+        if check["status"] != "PASS" and check["name"] not in told:
             console.warn(check["fact"], check["detail"], check["status"])
     for line in (report.get("advice") or {}).get("lines", []):
         console.say(("  advice: ", "mute"), line)

@@ -169,5 +169,8 @@ def _told_gaps(files: str, holes: Array) -> Warn:
         f"{length:.2f} s from {start:.2f} s" for start, length in zip(holes[:LISTED_GAPS, 0], lengths, strict=False)
     )
     more = f" and {len(holes) - LISTED_GAPS} more" if len(holes) > LISTED_GAPS else ""
-    message = f"{files}: {len(holes)} gaps in the IMU, {lengths.sum():.2f} s in all: {shown}{more}"
+    if len(holes) == 1:
+        message = f"{files}: a gap in the IMU of {shown}"
+    else:
+        message = f"{files}: {len(holes)} gaps in the IMU, {lengths.sum():.2f} s in all: {shown}{more}"
     return Warn("imu-gap", message, "nothing is integrated across a gap; the sigma grows there")

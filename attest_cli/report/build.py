@@ -232,10 +232,15 @@ def _check(name: str, good: bool, fact: str, detail: str) -> dict[str, Any]:
 
 def _checks(run: Run) -> list[dict[str, Any]]:
     """Return the lines of "What to know": warnings of the log first, then what the run found out about itself."""
-    lines = [_check(w.code, False, w.message[:1].upper() + w.message[1:], w.hint) for w in run.warnings]
+    lines = [_check(w.code, False, _sentence(w.message), w.hint) for w in run.warnings]
     lines += _separation_check(run) + _innovation_checks(run.forward.innovations)
     lines += [c for c in (_position_check(run), _advice_check(run), _data_check(run)) if c is not None]
     return lines
+
+
+def _sentence(message: str) -> str:
+    """Begin with a capital, unless with the name of a file."""
+    return message if ":" in message.split(" ")[0] else message[:1].upper() + message[1:]
 
 
 def _separation_check(run: Run) -> list[dict[str, Any]]:
