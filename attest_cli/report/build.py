@@ -164,7 +164,9 @@ def _sigma(run: Run, name: str) -> tuple[Array, Array]:
 
 def _statistics(run: Run) -> dict[str, Any]:
     heading, tilt = _sigma(run, "smoothed")
-    forward_heading, _ = _sigma(run, "forward")
+    forward_heading = np.degrees(run.passes["forward"].sigma_n()[:, 2])
+    if run.forward.moving.any():  # not while the filter finds its feet at the first stop
+        forward_heading = forward_heading[run.forward.moving]
     motions = [r for r in run.segments if r["kind"] == "motion"]
     apart = [r[f"separation_{a}_sigma"] for r in motions for a in _axes(run) if r[f"separation_{a}_sigma"] is not None]
     dt = np.diff(run.log.imu.t)
@@ -240,7 +242,7 @@ def _checks(run: Run) -> list[dict[str, Any]]:
 
 def _sentence(message: str) -> str:
     """Begin with a capital, unless with the name of a file."""
-    return message if ":" in message.split(" ")[0] else message[:1].upper() + message[1:]
+    return message if ":" in message.split(" ", maxsplit=1)[0] else message[:1].upper() + message[1:]
 
 
 def _separation_check(run: Run) -> list[dict[str, Any]]:
