@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from . import mounting, position
+from . import filters, mounting, position
 from .errors import AttestError
-from .filters import indirect
 from .filters.alignment import Start, align
 from .maths import rotation
 from .maths.consistency import upper_quantile
@@ -61,14 +60,17 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     nodes = build_nodes(log, segmentation, observations, noise, settings)
     start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=world.field_n is None)
     progress("forward filter", 0.3)
-    nodes, forward, raised = consistent_run(nodes, start, settings.smoothing.gate_probability)
+    run_filter = filters.load(settings.smoothing.filter)
+    nodes, forward, raised = consistent_run(run_filter, nodes, start, settings.smoothing.gate_probability)
     progress("smoothing", 0.5)
     smoothed = smooth_run(nodes, start, forward, settings)
     told = (*warnings, *raised, *_heading_warnings(forward))
     return Estimate(world, noise, nodes, forward, smoothed, told)
 
 
-def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, FilterRun, list[Warn]]:
+def consistent_run(
+    run_filter: filters.Filter, nodes: Nodes, start: Start, gate: float
+) -> tuple[Nodes, FilterRun, list[Warn]]:
     """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows,
     raise the gyro's variance until it fits.
 
@@ -77,7 +79,7 @@ def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, Filt
     """
     raised = 1.0
     for _ in range(MOST_RAISES):
-        forward = indirect.run(nodes, start, gate)
+        forward = run_filter(nodes, start, gate)
         found = forward.innovations
         after = (found.role == "gravity") & (found.t > found.t[found.role == "gravity"].min(initial=np.inf))
         freedom = int(found.dof[after].sum())

@@ -13,6 +13,7 @@ import numpy as np
 from . import __version__, assess, tables
 from .errors import AttestError
 from .estimate import Estimate, Progress, body_axes, estimate, locate, silent
+from .filters import named
 from .mounting import Mounting
 from .nodes.noise import find_noise
 from .nodes.observations import observe
@@ -223,7 +224,7 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
         "segments": {"stops": len(found.stops), "motions": len(found.motions), "found by": found.source},
         "measurements": counts,
         "frame": {"world": settings.world.frame, "body": settings.body.axes},
-        "methods": {"filter": "indirect", "smoother": cfg.smoother, "position": cfg.position},
+        "methods": {"filter": named(cfg.filter), "smoother": cfg.smoother, "position": cfg.position},
         "warnings": [w.message for w in (*log.warnings, *found.warnings, *warnings)],
     }  # fmt: skip
 

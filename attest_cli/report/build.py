@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import __version__
 from ..assess import Pass
+from ..filters import named
 from ..maths.consistency import upper_quantile
 from ..mounting import Mounting
 from ..nodes.noise import Noise
@@ -67,7 +68,7 @@ def build(run: Run) -> dict[str, Any]:
         "coverage": _coverage(run.log),
         "settings": _settings(run),
         "methods": {
-            "filter": "indirect",
+            "filter": named(run.effective.settings.smoothing.filter),
             "smoother": run.smoother,
             "iterations": run.smoothed.passes,
             "position": run.position.method if run.position else "none",
@@ -295,9 +296,9 @@ def _advice_check(run: Run) -> dict[str, Any] | None:
     if not run.segmentation.stops:
         return None
     if not lines:
-        return _check(
-            "stop-advice", True, f"Stops were often enough for {threshold:g}°", "the forward sigma never passes it"
-        )
+        longest = run.advice["longest_s"]
+        detail = f"the smoothed middle of a drive of {longest / 60:.0f} min would still be below it" if longest else ""
+        return _check("stop-advice", True, f"Stops were often enough for {threshold:g}°", detail)
     fact = f"Forward sigma passes {threshold:g}° in {len(lines)} of {len(run.segmentation.motions)} motions"
     return _check(
         "stop-advice",
