@@ -1,9 +1,10 @@
-"""Attitude, bias and their sigmas on simulated rover drives: forward, two-filter, paper and Gauss-Newton against the truth.
+"""Attitude, bias and their sigmas on simulated rover drives: forward, two-filter, paper, Gauss-Newton against truth.
 
 S1: no accelerometer bias, motions of 60-300 s, no zero rate. S2: accelerometer bias, motions of 60-120 s, zero rate.
 In motion: S1 with zero rate, from 10 s into its first motion. "wrong": the start's yaw is 170 deg wrong, no gates;
 "own": the start and the gates of attest.
-Errors are RMS over motion at the nodes, pooled over drives; NEES are means over motion, then over drives (6, 3, 3 expected).
+Errors are RMS over motion at the nodes, pooled over drives; NEES are means over motion, then over drives (6, 3, 3
+expected), spread is their standard error.
 
 Run: PYTHONPATH=. python benchmarks/accuracy/rover.py [--drives 50] [--first-seed 1000] [--only S1]
 """

@@ -21,7 +21,7 @@ from attest_cli.records import Fixes, Imu, Log, Recording
 from attest_cli.segment import find_segments
 from attest_cli.settings import Settings
 from attest_cli.simulate import RoverOptions, Simulation, simulate_rover
-from attest_cli.track import Attitude, full_rate
+from attest_cli.track import full_rate, world_variance
 
 Array = NDArray[np.float64]
 SENSORS = RoverOptions(seed=61, duration_s=150.0, motions=2, scenario="S2", compass=True, magnetometer=True)
@@ -40,7 +40,7 @@ def job(request: pytest.FixtureRequest, simulation: Simulation) -> tuple[Log, Se
     return prepare([simulation.log], options), options
 
 
-def run(log: Log, options: Settings) -> tuple[Estimate, Attitude]:
+def run(log: Log, options: Settings) -> tuple[Estimate, Array]:
     est = estimate(log, find_segments(log, options), options)
     return est, full_rate(est.nodes, est.smoothed, log.imu.t)
 
@@ -64,7 +64,7 @@ def test_a_turn_of_the_world_turns_the_result(job: tuple[Log, Settings]) -> None
     before, at_rate = run(log, options)
     after, at_rate_after = run(turned, options.model_copy(update={"world": world}))
     q_yaw = rotation.exp_quaternion(np.array([0.0, 0.0, YAW]))
-    assert degrees_apart(rotation.multiply(q_yaw, at_rate.q), at_rate_after.q) < 1e-9
+    assert degrees_apart(rotation.multiply(q_yaw, at_rate), at_rate_after) < 1e-9
     assert degrees_apart(rotation.multiply(q_yaw, before.forward.q), after.forward.q) < 1e-9
     assert np.abs(before.smoothed.bias - after.smoothed.bias).max() < 1e-11
     assert np.allclose(before.smoothed.P, after.smoothed.P, rtol=0, atol=1e-9 * before.smoothed.P.max())
@@ -73,7 +73,9 @@ def test_a_turn_of_the_world_turns_the_result(job: tuple[Log, Settings]) -> None
 def test_a_turn_of_the_imu_turns_the_body_only(job: tuple[Log, Settings]) -> None:
     """Every sensor of the box turned as one: the same attitude in the new axes, the same stops, the same sigmas."""
     log, options = job
-    log = replace(log, fixes={role: f for role, f in log.fixes.items() if role != "compass"})  # it reads the body's x axis
+    log = replace(
+        log, fixes={role: f for role, f in log.fixes.items() if role != "compass"}
+    )  # it reads the body's x axis
     imu = Imu(log.imu.t, log.imu.gyro_b @ TURN, log.imu.accel_b @ TURN)  # v_new = TURN' v
     turned = with_fixes(replace(log, imu=imu), "magnetometer", lambda field: field @ TURN)
     q_turn = rotation.from_matrix(TURN)
@@ -82,9 +84,14 @@ def test_a_turn_of_the_imu_turns_the_body_only(job: tuple[Log, Settings]) -> Non
     before, at_rate = run(log, options)
     after, at_rate_after = run(turned, options.model_copy(update={"sun": sun}))
     assert np.array_equal(before.nodes.t, after.nodes.t)
-    assert degrees_apart(rotation.multiply(at_rate.q, q_turn), at_rate_after.q) < 1e-9
-    assert np.abs(at_rate.bias @ TURN - at_rate_after.bias).max() < 1e-11
-    assert np.allclose(at_rate.variance_n, at_rate_after.variance_n, rtol=1e-6)
+    assert degrees_apart(rotation.multiply(at_rate, q_turn), at_rate_after) < 1e-9
+    one, other = before.smoothed, after.smoothed
+    assert np.abs(one.bias @ TURN - other.bias).max() < 1e-11
+    assert np.allclose(
+        np.linalg.eigvalsh(world_variance(one.q, one.P)),
+        np.linalg.eigvalsh(world_variance(other.q, other.P)),
+        rtol=1e-6,
+    )
 
 
 def shifted(recording: Recording, shift_ns: int) -> Recording:
@@ -92,34 +99,35 @@ def shifted(recording: Recording, shift_ns: int) -> Recording:
     return replace(recording, channels=channels)
 
 
-@pytest.mark.parametrize("shift_ns", [-1_780_308_000_000_000_000, 1_750_000_000_000_000_000, 1_024_000_000_000, 123_456_789])
+@pytest.mark.parametrize(
+    "shift_ns", [-1_780_308_000_000_000_000, 1_750_000_000_000_000_000, 1_024_000_000_000, 123_456_789]
+)
 def test_a_shift_of_the_clock_shifts_the_result(simulation: Simulation, shift_ns: int) -> None:
     options = effective(simulation, {})
     log, later = (prepare([r], options) for r in (simulation.log, shifted(simulation.log, shift_ns)))
     assert np.array_equal(later.stamps_ns, log.stamps_ns + shift_ns)
     (_, before), (_, after) = run(log, options), run(later, options)
-    assert degrees_apart(before.q, after.q) < 1e-4
-    assert np.array_equal(before.q, after.q)  # stamps are subtracted as integers: not a bit moves
+    assert degrees_apart(before, after) < 1e-4
+    assert np.array_equal(before, after)  # stamps are subtracted as integers: not a bit moves
 
 
 def test_the_same_input_twice_gives_the_same_bits(job: tuple[Log, Settings]) -> None:
     (first, a), (second, b) = run(*job), run(*job)
-    for x, y in ((a.q, b.q), (a.variance_n, b.variance_n), (first.smoothed.P, second.smoothed.P), (first.forward.q, second.forward.q)):
+    for x, y in ((a, b), (first.smoothed.P, second.smoothed.P), (first.forward.q, second.forward.q)):
         assert x.tobytes() == y.tobytes()
 
 
 def test_rows_norms_and_numbers(job: tuple[Log, Settings]) -> None:
     log, options = job
     est, at_rate = run(log, options)
-    assert at_rate.q.shape == (len(log.imu.t), 4)
+    assert at_rate.shape == (len(log.imu.t), 4)
     assert est.smoothed.t[0] == log.imu.t[0]
     assert est.smoothed.t[-1] == log.imu.t[-1]
-    for q in (at_rate.q, est.smoothed.q, est.forward.q):
+    for q in (at_rate, est.smoothed.q, est.forward.q):
         assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < 1e-12
-    assert np.all(np.sum(at_rate.q[1:] * at_rate.q[:-1], axis=1) > 0.0)
-    for values in (at_rate.bias, at_rate.variance_n, at_rate.bias_variance, est.smoothed.P, est.forward.chain.P):
+    assert np.all(np.sum(at_rate[1:] * at_rate[:-1], axis=1) > 0.0)
+    for values in (est.smoothed.bias, est.smoothed.P, est.smoothed.cross, est.forward.chain.P):
         assert np.isfinite(values).all()
-    assert at_rate.variance_n.min() > 0.0
     for P in (est.smoothed.P, est.forward.chain.P, est.forward.chain.P_pred):
         assert np.array_equal(P[1:], P[1:].swapaxes(1, 2))
         sigma = np.sqrt(np.einsum("kii->ki", P))
@@ -132,8 +140,11 @@ def test_either_sign_of_an_orientation_is_the_same_measurement(simulation: Simul
     t = log.imu.t[::100]
     q = np.column_stack([simulation.truth[f"q_{part}"] for part in "wxyz"])[::100]
     signs = np.where(np.random.default_rng(5).random(len(t)) < 0.5, -1.0, 1.0)[:, None]
-    results = [run(replace(log, fixes={"orientation": Fixes("orientation", "x", t, values)}), options)[1] for values in (q, signs * q)]
-    assert degrees_apart(results[0].q, results[1].q) < 1e-9
+    results = [
+        run(replace(log, fixes={"orientation": Fixes("orientation", "x", t, values)}), options)[1]
+        for values in (q, signs * q)
+    ]
+    assert degrees_apart(results[0], results[1]) < 1e-9
 
 
 def test_the_smoothed_sigma_never_exceeds_the_forward_one(simulation: Simulation) -> None:
@@ -148,7 +159,7 @@ SHORT_SETTINGS = effective(SHORT, {})
 SHORT_LOG = prepare([SHORT.log], SHORT_SETTINGS)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(
     hole=st.tuples(st.floats(0.0, 58.0), st.floats(0.0, 6.0)),
     factor=st.floats(0.2, 5.0),
@@ -166,15 +177,19 @@ def test_holes_scales_and_lost_rows_leave_a_whole_result_or_a_plain_refusal(
         scale = factor if c.role == "imu" else 1.0
         values = {name: v[mask] * (scale if name.startswith("gyro") else 1.0) for name, v in c.values.items()}
         channels.append(replace(c, stamps_ns=c.stamps_ns[mask], values=values))
+    refused = None
+    refused = None
     try:
         log = prepare([replace(SHORT.log, channels=tuple(channels))], SHORT_SETTINGS)
         est, at_rate = run(log, SHORT_SETTINGS)
     except AttestError as refusal:
-        assert "\n" not in str(refusal)
+        refused = str(refusal)
+    if refused is not None:
+        assert refused
+        assert "\n" not in refused
         return
-    assert at_rate.q.shape == (int(keep.sum()), 4)
-    assert np.isfinite(at_rate.q).all()
-    assert np.abs(np.linalg.norm(at_rate.q, axis=1) - 1.0).max() < 1e-12
-    assert np.isfinite(at_rate.variance_n).all()
-    assert at_rate.variance_n.min() > 0.0
+    assert at_rate.shape == (int(keep.sum()), 4)
+    assert np.isfinite(at_rate).all()
+    assert np.abs(np.linalg.norm(at_rate, axis=1) - 1.0).max() < 1e-12
     assert np.isfinite(est.smoothed.P).all()
+    assert np.linalg.eigvalsh(est.smoothed.P).min() > 0.0

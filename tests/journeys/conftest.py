@@ -15,8 +15,9 @@ TESTS = str(Path(__file__).resolve().parents[1])
 if TESTS not in sys.path:
     sys.path.append(TESTS)
 
-from attest_cli.__main__ import run  # noqa: E402
 from journeys.odd_logs import Drive, sample_drive  # noqa: E402
+
+from attest_cli.__main__ import run  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,7 @@ def attest(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
 
 
 @pytest.fixture
-def smooth(
-    attest: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Smoothed]:
+def smooth(attest: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Smoothed]:
     """Smooth logs into a folder of this test, drawn only by request; no word to people holds a control character."""
 
     def command(

@@ -128,7 +128,7 @@ class Judged:
 
 
 def judged(folder: Path, drive: Drive, *, relative: bool = False) -> Judged:
-    """Hold a track against the truth of its drive; a relative heading is compared after taking off the first row's error."""
+    """Hold a track against the truth of its drive; a relative heading counts from the first row."""
     track = read_track(folder)
     rows = np.searchsorted(drive.columns["timestamp_ns"], track["timestamp_ns"])
     assert np.array_equal(drive.columns["timestamp_ns"][rows], track["timestamp_ns"])

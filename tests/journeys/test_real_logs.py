@@ -62,7 +62,6 @@ def test_logs_of_many_makers(
     assert result.report["verdict"] in {"PASS", "WARN"}
 
 
-@pytest.mark.xfail(strict=True, reason="finding 15: a log of one sample-long segment chain without any known sigma ends in a ValueError (vn310-imu.csv)")
 def test_vectornav(shared_data: Path, attest: Callable[..., Any], tmp_path: Path) -> None:
     outcome = attest("smooth", real(shared_data, "logs/vectornav/vn310-imu.csv"), "-o", tmp_path / "r")
     assert outcome.code == 0 or "defect" not in outcome.err
@@ -108,3 +107,12 @@ def test_broad_inclination_is_inside_its_sigma(name: str, shared_data: Path, smo
 def test_a_static_log_is_one_stop(shared_data: Path, smooth: Callable[..., Any]) -> None:
     result = smooth(real(shared_data, "repoimu/TStick_Test01_Static.parquet"))
     assert (result.report["statistics"]["stops"], result.report["statistics"]["motions"]) == (1, 0)
+
+
+def test_a_distance_made_of_drift_does_not_make_a_position_usable(
+    shared_data: Path, smooth: Callable[..., Any]
+) -> None:
+    result = smooth(real(shared_data, "wid/trial03_IMU1.parquet"))
+    found = result.report["statistics"]
+    speed = (found["distance_m"] or 0.0) / result.report["input"]["duration_s"]
+    assert not found["position_usable"] or speed < 40.0

@@ -96,7 +96,10 @@ def test_report_and_track_keep_to_their_schemas(done: dict[str, Done], root: Pat
     assert set(schemas["track"]["required"]) <= set(table.column_names)
     rows = table.slice(0, 5).to_pylist() + table.slice(table.num_rows // 2, 5).to_pylist()
     for row in rows:
-        jsonschema.validate({k: v for k, v in row.items() if v == v}, {**schemas["track"], "required": []})
+        jsonschema.validate(
+            {k: v for k, v in row.items() if not isinstance(v, float) or np.isfinite(v)},
+            {**schemas["track"], "required": []},
+        )
     assert table.schema.field("timestamp_ns").type == "int64"
     assert table.schema.field("segment").type == "int32"
     assert table.schema.field("moving").type == "bool"
@@ -192,7 +195,9 @@ def test_two_runs_differ_only_in_the_stamp_of_the_run(done: dict[str, Done], sam
     assert reports[0] == reports[1]
 
 
-@pytest.mark.xfail(strict=True, reason="finding 12: report.html shows created_utc; stamps of the run belong to report.json only")
+@pytest.mark.xfail(
+    strict=True, reason="finding 12: report.html shows created_utc; stamps of the run belong to report.json only"
+)
 def test_no_file_but_the_report_holds_the_stamp_of_the_run(done: dict[str, Done]) -> None:
     stamp = done["csv"].report["created_utc"]
     clock = stamp.partition("T")[2][:8]
@@ -219,9 +224,8 @@ def test_other_formats_hold_the_same_track(done: dict[str, Done]) -> None:
     assert abs(int(seconds) * 10**9 + int(digits.ljust(9, "0")) - track["timestamp_ns"][1]) < 1000
 
 
-def test_ned_is_the_same_track_in_other_axes(done: dict[str, Done], samples: Path, tmp_path: Path) -> None:
-    ned = tmp_path / "ned"
-    assert run(["smooth", str(samples / "rover.parquet"), "-o", str(ned), "-q", "--frame", "ned"]) == 0
+def test_ned_is_the_same_track_in_other_axes(done: dict[str, Done], samples: Path, smooth: Callable[..., Any]) -> None:
+    ned = smooth(samples / "rover.parquet", "--frame", "ned").folder
     a, b = read_track(done["parquet"].folder), read_track(ned)
     swap = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # north, east, down of east, north, up
     flip = np.diag([1.0, -1.0, -1.0])  # forward, right, down of forward, left, up
@@ -253,7 +257,12 @@ def test_start_and_end_cut_the_log(done: dict[str, Done], samples: Path, smooth:
 
 @pytest.mark.parametrize(
     ("start", "end", "says"),
-    [(500, 600, "rover.parquet: only 0 usable"), (100, 100, "not after"), (130, 55, "not after"), (-20, -10, "start_s")],
+    [
+        (500, 600, "rover.parquet: only 0 usable"),
+        (100, 100, "not after"),
+        (130, 55, "not after"),
+        (-20, -10, "start_s"),
+    ],
 )
 def test_an_empty_window_is_refused(
     samples: Path, attest: Callable[..., Any], tmp_path: Path, start: int, end: int, says: str
@@ -272,12 +281,12 @@ def test_dry_run_tells_the_plan_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
     for word in ("/imu/data", "/sun", "two-filter", "rover.mcap", "indirect"):
         assert word in outcome.out
-    outcome = attest("smooth", samples / "rover.mcap", "--dry-run", "--json")
+    outcome = attest("smooth", samples / "rover.parquet", "--dry-run", "--json")
     assert json.loads(outcome.out)["segments"]["stops"] == 5
 
 
 def test_json_stands_alone_on_stdout(samples: Path, smooth: Callable[..., Any]) -> None:
-    result = smooth(samples / "rover.parquet", "--json", draw=True)
+    result = smooth(samples / "rover.parquet", "--json")
     assert json.loads(result.outcome.out) == result.report
     assert "PASS" in result.outcome.err
 
@@ -285,7 +294,7 @@ def test_json_stands_alone_on_stdout(samples: Path, smooth: Callable[..., Any]) 
 def test_gate_and_strict_end_with_3(samples: Path, smooth: Callable[..., Any]) -> None:
     passed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "1", "--strict", "-q", output="a")
     assert passed.outcome.err == ""
-    failed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "0.05", codes=(3,), output="b", draw=True)
+    failed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "0.05", codes=(3,), output="b")
     assert "over the gate of 0.05°" in failed.outcome.err
     assert failed.report["verdict"] == "FAIL"
     assert failed.outcome.err.splitlines()[0].endswith("FAIL")
@@ -299,7 +308,9 @@ def test_strict_turns_a_warning_into_3(samples: Path, tmp_path: Path, smooth: Ca
     assert plain.codes == strict.codes == {"sun-not-used"}
 
 
-def test_files_of_one_drive_make_one_log(done: dict[str, Done], whole: Drive, tmp_path: Path, smooth: Callable[..., Any]) -> None:
+def test_files_of_one_drive_make_one_log(
+    done: dict[str, Done], whole: Drive, tmp_path: Path, smooth: Callable[..., Any]
+) -> None:
     keep = np.isfinite(whole.columns["sun_x"])
     imu = whole.without("sun_x", "sun_y").write(tmp_path / "two", "imu.csv")
     sun = whole.rows(keep).without(*(n for n in whole.columns if n not in {"timestamp_ns", "sun_x", "sun_y"}))
@@ -328,3 +339,16 @@ def test_gyro_columns_of_another_imu_are_not_mixed(whole: Drive, tmp_path: Path,
     result = smooth(doubled.write(tmp_path))
     assert "several-channels" in result.codes
     assert judged(result.folder, whole).tilt_ratio() < 2.0
+
+
+@pytest.mark.parametrize("content", ["{}", "not JSON", '{"verdict": 5}', "[]"])
+def test_a_report_that_is_none_is_refused_in_one_line(
+    content: str, done: dict[str, Done], tmp_path: Path, attest: Callable[..., Any], request: pytest.FixtureRequest
+) -> None:
+    if content in {"{}", '{"verdict": 5}'}:
+        reason = "finding 19: report.json of another shape ends in 'defect in attest: KeyError'"
+        request.node.add_marker(pytest.mark.xfail(strict=True, reason=reason))
+    broken = tmp_path / "broken.attest"
+    shutil.copytree(done["csv"].folder, broken, ignore=shutil.ignore_patterns("report", "track*"))
+    (broken / "report.json").write_text(content, encoding="utf-8")
+    attest("report", broken).refused("report.json")

@@ -1,8 +1,9 @@
 """Roumeliotis, Sukhatme & Bekey 1999: the core against reference runs of the paper's equations (vectors v5, v6, v7).
 
-``v6_run`` holds the forward filter with iterated updates, the literal backward pass and both positions; ``v7_frozen_gn`` the
-filter frozen at stops with zero rate, and the maximum a posteriori track. The runs of a filter that carries its covariance
-across an update without the reset Jacobian (``ekf_*``, ``*_qs`` by RTS) are another variant and are not compared.
+``v6_run`` holds the forward filter with iterated updates, the literal backward pass and both positions;
+``v7_frozen_gn`` the filter frozen at stops with zero rate, and the maximum a posteriori track. The runs of a filter
+that carries its covariance across an update without the reset Jacobian (``ekf_*``, ``*_qs`` by RTS) are another
+variant and are not compared.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def test_preintegration_at_a_poor_bias_costs_less_than_a_hundredth_of_a_sigma(pl
     assert max(found) < 1e-2
 
 
-@pytest.mark.parametrize("smoother", ["two-filter", "rts", "paper"])
+@pytest.mark.parametrize("smoother", ["two-filter", "none"])
 def test_gauss_newton_is_the_map_of_v7_from_any_smoother(plain: Vector6, smoother: str) -> None:
     g, run = load("v7_frozen_gn"), indirect.run(plain.nodes, plain.start, gate_probability=1.0)
     smoothed = smoothers.SMOOTHERS[smoother](run)

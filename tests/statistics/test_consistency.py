@@ -1,4 +1,4 @@
-"""NEES, NIS and whiteness over many runs, in bands that chi-square leaves once in ten thousand; and that wrong noise breaks them."""
+"""NEES, NIS and whiteness over many runs, in bands of 99.99 % from chi-square; and that wrong noise breaks them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from attest_cli.maths import rotation
 from attest_cli.smoothers import SMOOTHERS
 
 Array = NDArray[np.float64]
-RUNS, FEW = 150, 60  # honest runs; runs told wrong
+RUNS, FEW = 120, 40  # honest runs; runs told wrong
 
 
 @dataclass(frozen=True)
 class Sample:
-    """NEES (runs, nodes) of the forward pass and the smoother; NIS and normalised innovations (runs, fixes, 2) of each sensor."""
+    """NEES (runs, nodes) of both passes; NIS (runs, fixes, sensors); innovations in sigma (runs, fixes, sensors, 2)."""
 
     forward: Array
     smoothed: Array
@@ -86,12 +86,14 @@ def test_innovations_are_white(honest: Sample) -> None:
         assert np.abs(r).max() < 4.5 / np.sqrt(n)
 
 
-@pytest.mark.parametrize("told", [{"Q": 4.0}, {"Q": 0.25}, {"R": 4.0}, {"R": 0.25}], ids=["Q x 4", "Q / 4", "R x 4", "R / 4"])
+@pytest.mark.parametrize(
+    "told", [{"Q": 4.0}, {"Q": 0.25}, {"R": 4.0}, {"R": 0.25}], ids=["Q x 4", "Q / 4", "R x 4", "R / 4"]
+)
 def test_the_bands_break_when_the_filter_is_told_wrong(told: dict[str, float]) -> None:
     found = sample(FEW, **told)
     low, high = band(2 * found.nis[..., 0].size)
     nis = found.nis.mean(axis=(0, 1)) / 2
-    print(f"nodes outside: forward {share_outside(found.forward):.2f}, smoothed {share_outside(found.smoothed):.2f}; NIS {nis}")
-    assert share_outside(found.forward) > 0.5
-    assert share_outside(found.smoothed) > 0.5
+    outside = share_outside(found.forward), share_outside(found.smoothed)
+    print(f"nodes outside: forward {outside[0]:.2f}, smoothed {outside[1]:.2f}; NIS {nis}")
+    assert min(outside) > 0.5
     assert np.all((nis < low) | (nis > high))

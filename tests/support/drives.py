@@ -68,7 +68,7 @@ def simulated(
 ) -> Job:  # fmt: skip
     """Simulate a drive and bring it to the door of the filter.
 
-    ``change`` edits the log, ``start_s`` cuts its beginning off, ``walk`` is the share of the gyro bias walk that is kept.
+    ``change`` edits the log, ``start_s`` cuts its beginning off, ``walk`` is the share of the gyro bias walk kept.
     """
     simulation = simulate_rover(options)
     settings = effective(simulation, over)
@@ -93,7 +93,7 @@ def job(log: Log, settings: Settings, drive: Drive, bias: Array, origin: float =
 
 
 def cut(log: Log, start_s: float) -> Log:
-    """Return the log from ``start_s`` on, which becomes t = 0 (a whole number of samples)."""
+    """Return the log from ``start_s`` on, which becomes t = 0."""
     if start_s == 0.0:
         return log
     keep = log.imu.t >= start_s - 1e-9
@@ -112,8 +112,9 @@ def nees(errors: Array, P: Array) -> Array:
 
 @dataclass(frozen=True)
 class Score:
-    """Of one pass over one drive, in motion: mean squared attitude error (rad^2) over all of it and over the middle thirds of
-    the motions, mean squared bias error, mean NEES of six states, attitude and bias."""
+    """Of one pass over one drive, in motion: mean squared attitude error (rad^2) over all of it and over the middle
+    thirds of the motions, mean squared bias error, mean NEES of six states, attitude and bias.
+    """
 
     attitude: float
     middle: float
@@ -157,7 +158,7 @@ def degrees_apart(p: Array, q: Array) -> float:
 
 
 def wrong_start(work: Job, yaw_deg: float, rng: np.random.Generator, bias_sigma: float = 5e-3) -> Start:
-    """A start in motion with its yaw ``yaw_deg`` wrong and a tilt wrong by its sigma of 2 deg; yaw sigma max(yaw, 30 deg)."""
+    """A start in motion, its yaw ``yaw_deg`` wrong, its tilt by a sigma of 2 deg; yaw sigma max(yaw, 30 deg)."""
     tilt = np.radians(2.0)
     yaw = np.radians(max(abs(yaw_deg), 30.0))
     error_n = np.array([*rng.normal(0.0, tilt, 2), np.radians(yaw_deg)])

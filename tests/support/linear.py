@@ -94,8 +94,8 @@ def dense(p: Problem) -> tuple[Array, Array]:
 def turning_chain(rng: np.random.Generator, n: int = 10) -> tuple[Chain, Problem]:
     r"""A chain of six states whose first three are a rotation vector, with resets ``J`` far from the identity.
 
-    In its own coordinates it is linear: :math:`d_{k+1}=J_{k+1}(\Phi_kd_k+w_k-\Delta x_{k+1})`. The problem returned with it
-    says the same without a filter: transitions :math:`J\Phi`, noise :math:`JQJ^T`, and offsets in ``mean`` of each step.
+    In its own coordinates it is linear: :math:`d_{k+1}=J_{k+1}(\Phi_kd_k+w_k-\Delta x_{k+1})`. The problem returned
+    with it holds the innovations ``z`` about the predicted estimates.
     """
     s, m = 6, 2
     Phi = np.eye(s) + 0.2 * rng.normal(size=(n - 1, s, s)) / np.sqrt(s)

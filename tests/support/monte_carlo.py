@@ -1,7 +1,7 @@
-"""Many short runs whose errors are exactly those the filter assumes: rates held over each step, white noise, sun and gravity.
+"""Many short runs whose errors are exactly those the filter assumes: rates held over a step, white noise, two sights.
 
-The motion is the same in all runs; start, biases, gyro noise and measurements are drawn anew. What remains between theory and
-result is the filter's own algebra, so chi-square bands hold at every node.
+The motion is the same in all runs; start, biases, gyro noise and measurements are drawn anew. What remains between
+theory and result is the filter's own algebra, so chi-square bands hold at every node.
 """
 
 from __future__ import annotations
@@ -77,5 +77,5 @@ def _pair(rng: np.random.Generator, R_nb: Array, node: int, t: float, told: floa
 
 
 def band(dof: int, outside: float = 1e-4) -> tuple[float, float]:
-    """Interval that holds a mean of chi-squares with ``dof`` degrees in all, per degree, but for a share ``outside``."""
+    """Interval of a chi-square variable of ``dof`` degrees over ``dof``, but for a share ``outside``."""
     return float(chdtri(dof, 1.0 - outside / 2)) / dof, float(chdtri(dof, outside / 2)) / dof

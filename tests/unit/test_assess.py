@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -59,14 +60,18 @@ def test_a_pass_turned_is_the_same_pass_in_other_axes(run: FilterRun) -> None:
 def test_separation_is_forward_minus_backward_about_world_axes(rng: np.random.Generator) -> None:
     q = rotation.normalise(rng.normal(size=(20, 4)))
     apart = 0.01 * rng.normal(size=(20, 3))
-    forward = Pass(rotation.multiply(rotation.exp_quaternion(apart), q), np.zeros((20, 3)), np.tile(4e-6 * np.eye(6), (20, 1, 1)))
+    forward = Pass(
+        rotation.multiply(rotation.exp_quaternion(apart), q), np.zeros((20, 3)), np.tile(4e-6 * np.eye(6), (20, 1, 1))
+    )
     backward = Pass(q, np.zeros((20, 3)), np.tile(5e-6 * np.eye(6), (20, 1, 1)))
     found, sigma = assess.separation(forward, backward)
     assert np.allclose(found, apart, atol=1e-12)
     assert np.allclose(sigma, 3e-3)
 
 
-def test_passes_of_a_good_drive_agree_where_both_are_equally_sure(work: Job, run: FilterRun, smoothed: Smoothed) -> None:
+def test_passes_of_a_good_drive_agree_where_both_are_equally_sure(
+    work: Job, run: FilterRun, smoothed: Smoothed
+) -> None:
     p = passes(run, smoothed)
     checks = assess.segment_checks(run.t, p["forward"], p["backward"], work.segmentation)
     assert set(checks) == {s.index for s in work.segmentation.motions}
@@ -89,7 +94,9 @@ def test_a_disturbed_forward_pass_is_told_with_its_axis(work: Job, run: FilterRu
 
 
 def test_segment_table_tells_every_segment(work: Job, run: FilterRun, smoothed: Smoothed) -> None:
-    rows = assess.segment_table(work.log, work.segmentation, run.t, passes(run, smoothed), None, work.noise, 2.0, relative=False)
+    rows = assess.segment_table(
+        work.log, work.segmentation, run.t, passes(run, smoothed), None, work.noise, 2.0, relative=False
+    )
     assert [r["index"] for r in rows] == [1, 2, 3, 4, 5]
     assert [r["kind"] for r in rows] == ["stop", "motion", "stop", "motion", "stop"]
     for row, s in zip(rows, work.segmentation.segments, strict=True):
@@ -122,7 +129,9 @@ def test_stop_advice_of_the_note_after_a_stop_of_ten_seconds() -> None:
     assert np.allclose(sigma, [1.0, 2.0, 5.0], rtol=0.05)
 
 
-def test_advice_comes_when_the_forward_sigma_passes_the_threshold(work: Job, run: FilterRun, smoothed: Smoothed) -> None:
+def test_advice_comes_when_the_forward_sigma_passes_the_threshold(
+    work: Job, run: FilterRun, smoothed: Smoothed
+) -> None:
     sigma = np.degrees(Pass(run.q, run.bias, run.chain.P).sigma_n().max(axis=1))
     first = work.segmentation.motions[0]
     middle = sigma[(run.t > first.start) & (run.t < first.end)]
@@ -132,7 +141,9 @@ def test_advice_comes_when_the_forward_sigma_passes_the_threshold(work: Job, run
     assert len(advice["lines"]) >= 1
     assert advice["axis"] == "heading"
     assert advice["share_over"] == pytest.approx(over.sum() / run.moving.sum(), abs=0.02)
-    rows = assess.segment_table(work.log, work.segmentation, run.t, passes(run, smoothed), None, work.noise, threshold, relative=False)
+    rows = assess.segment_table(
+        work.log, work.segmentation, run.t, passes(run, smoothed), None, work.noise, threshold, relative=False
+    )
     after = rows[1]["stop_advised_after_s"]
     assert np.interp(first.start + after, run.t, sigma) == pytest.approx(threshold, rel=0.02)
 
@@ -147,13 +158,13 @@ def test_a_wide_threshold_advises_nothing(work: Job, run: FilterRun, smoothed: S
 
 def test_longest_drive_grows_with_the_threshold_and_needs_a_stop(work: Job, run: FilterRun) -> None:
     lengths = [assess.longest_drive(run, work.segmentation, work.noise, np.radians(d)) for d in (0.5, 1.0, 2.0, 5.0)]
-    assert all(a < b for a, b in zip(lengths[:-1], lengths[1:], strict=True))
+    assert all(a < b for a, b in pairwise(lengths))
     no_stops = replace(work.segmentation, segments=work.segmentation.motions)
     assert assess.longest_drive(run, no_stops, work.noise, 0.1) is None
 
 
 def test_a_drive_as_long_as_advised_keeps_its_middle_below_the_threshold(work: Job, run: FilterRun) -> None:
-    """The advice against the smoother itself: the middle of a drive of that length between two stops as good as this log's."""
+    """Half-way between two stops as good as this log's, both passes equally sure."""
     threshold = np.radians(0.3)
     length = assess.longest_drive(run, work.segmentation, work.noise, threshold)
     assert length is not None

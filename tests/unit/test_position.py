@@ -1,4 +1,4 @@
-"""Position: against the analytic truth with the true attitude, its sigma against many drives, and what it says of itself."""
+"""Position: against the analytic truth with the true attitude, its sigma against many drives, its usable flag."""
 
 from __future__ import annotations
 
@@ -38,7 +38,14 @@ class Drive:
     def inertial(self, q: Array | None = None, imu: Imu | None = None, literal: bool = False) -> Position:
         w = self.work
         return position.inertial_position(
-            imu or w.log.imu, self.q if q is None else q, w.nodes, self.smoothed, w.segmentation, w.settings, GRAVITY, literal
+            imu or w.log.imu,
+            self.q if q is None else q,
+            w.nodes,
+            self.smoothed,
+            w.segmentation,
+            w.settings,
+            GRAVITY,
+            literal,
         )
 
     def odometry(self, q_bv: Array = LEVEL) -> Position:
@@ -57,7 +64,7 @@ class Drive:
 def drive(**options: object) -> Drive:
     work = simulated(RoverOptions(**options))  # type: ignore[arg-type]
     smoothed = SMOOTHERS["two-filter"](indirect.run(work.nodes, work.start))
-    return Drive(work, smoothed, full_rate(work.nodes, smoothed, work.log.imu.t).q)
+    return Drive(work, smoothed, full_rate(work.nodes, smoothed, work.log.imu.t))
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +74,7 @@ def short() -> Drive:
 
 @pytest.mark.parametrize(("literal", "limit"), [(False, 1e-4), (True, 1e-2)])
 def test_true_attitude_and_force_give_the_true_path(short: Drive, literal: bool, limit: float) -> None:
-    """A hundred seconds without sensor errors: strapdown to a tenth of a millimetre, the paper's Euler steps to a centimetre."""
+    """A hundred seconds without sensor errors: strapdown to 0.1 mm, the paper's Euler steps to a centimetre."""
     truth = short.work.truth(short.t)
     found = short.inertial(truth.q_nb, replace(short.work.log.imu, accel_b=truth.force_b), literal)
     known = np.isfinite(found.p[:, 0])
@@ -75,7 +82,9 @@ def test_true_attitude_and_force_give_the_true_path(short: Drive, literal: bool,
     print(f"literal {literal}: position error {error:.1e} m")
     assert known.mean() > 0.97
     assert error < limit
-    assert np.abs(found.v[known] - truth.velocity_n[known]).max() < (2e-3 if not literal else 2e-2)  # vibration between two samples
+    assert np.abs(found.v[known] - truth.velocity_n[known]).max() < (
+        2e-3 if not literal else 2e-2
+    )  # vibration between two samples
     assert found.method == ("literal" if literal else "strapdown")
     path = np.linalg.norm(np.diff(truth.position_n, axis=0), axis=1)
     for s in short.work.segmentation.motions:
@@ -104,7 +113,9 @@ def test_knowing_the_end_at_rest_helps(short: Drive) -> None:
     stops = short.work.segmentation.stops
     segments = short.work.segmentation.segments[:2]
     last = segments[1]
-    open_end = replace(short, work=replace(short.work, segmentation=replace(short.work.segmentation, segments=segments)))
+    open_end = replace(
+        short, work=replace(short.work, segmentation=replace(short.work.segmentation, segments=segments))
+    )
     rows = (short.t > last.start) & (short.t < stops[1].used_start)
     closed, opened = (float(np.sqrt(np.nanmean(d.error(d.inertial())[rows] ** 2))) for d in (short, open_end))
     print(f"first motion: {closed:.2f} m closed, {opened:.2f} m open")
@@ -198,7 +209,7 @@ def test_a_log_that_starts_in_motion_has_no_inertial_position_before_its_first_s
 
 
 def test_the_error_chain_is_the_smoothers_own(short: Drive) -> None:
-    """``P`` and lag-one covariances come back from ``F`` and ``W``; without later fixes ``F`` is the filter's transition."""
+    """``P`` and lag-one covariances come back from ``F`` and ``W``."""
     chain, s = position.markov(short.smoothed), short.smoothed
     R = rotation.matrix(s.q)
     T = np.zeros((len(s.t), 6, 6))
@@ -208,7 +219,9 @@ def test_the_error_chain_is_the_smoothers_own(short: Drive) -> None:
     sigma = np.sqrt(np.einsum("kii->ki", chain.P))
     assert np.abs((again - chain.P[1:]) / (sigma[1:, :, None] * sigma[1:, None])).max() < 1e-9
     back = chain.P[:-1] @ chain.F.swapaxes(1, 2)
-    assert np.abs((back - T[:-1] @ s.cross @ T[1:].swapaxes(1, 2)) / (sigma[:-1, :, None] * sigma[1:, None])).max() < 1e-9
+    assert (
+        np.abs((back - T[:-1] @ s.cross @ T[1:].swapaxes(1, 2)) / (sigma[:-1, :, None] * sigma[1:, None])).max() < 1e-9
+    )
     assert np.linalg.eigvalsh(chain.W / (sigma[1:, :, None] * sigma[1:, None])).min() > -1e-9
 
 

@@ -50,7 +50,9 @@ def test_the_sun_moves_with_the_fixes() -> None:
     [((46.5, 6.6), 3.3, 62.5), ((-42.9, 147.3), 15.0, -72.0), ((64.1, -21.9), -11.0, 76.0)],
     ids=["Lausanne", "Hobart", "Reykjavik"],
 )
-def test_the_magnetic_field_has_the_signs_of_the_chart(place: tuple[float, float], declination: float, dip: float) -> None:
+def test_the_magnetic_field_has_the_signs_of_the_chart(
+    place: tuple[float, float], declination: float, dip: float
+) -> None:
     """Isogonic and isoclinic charts of 2025, to two degrees."""
     wanted = settings(latitude_deg=place[0], longitude_deg=place[1])
     field = find_world(log(Y2026_NS, "magnetometer"), wanted).field_n

@@ -40,7 +40,9 @@ def start_error_sigma(work: Job) -> Array:
     return np.asarray((R @ e) / np.sqrt(np.diag(R @ work.start.P[:3, :3] @ R.T)))
 
 
-@pytest.mark.parametrize("roles", [("sun",), ("compass",), ("magnetometer",), ("sun", "compass", "magnetometer")], ids="+".join)
+@pytest.mark.parametrize(
+    "roles", [("sun",), ("compass",), ("magnetometer",), ("sun", "compass", "magnetometer")], ids="+".join
+)
 def test_every_heading_sensor_aligns(work: Job, roles: tuple[str, ...]) -> None:
     found = only(work, *roles)
     assert found.start.heading == "absolute"

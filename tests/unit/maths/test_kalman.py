@@ -123,8 +123,8 @@ def test_time_reversal_with_a_diffuse_prior() -> None:
     diffuse = 1e8 * np.eye(4)
     ahead = replace(p, P0=diffuse, mean=np.zeros(4))
     behind = Problem(
-        np.zeros(4), diffuse, inverse[::-1], (inverse @ p.Q @ inverse.swapaxes(1, 2))[::-1], p.H[::-1], p.R[::-1], p.z[::-1],
-        p.measured[::-1],
+        np.zeros(4), diffuse, inverse[::-1], (inverse @ p.Q @ inverse.swapaxes(1, 2))[::-1], p.H[::-1], p.R[::-1],
+        p.z[::-1], p.measured[::-1],
     )  # fmt: skip
     for which in (0, 1):
         results = []
@@ -230,8 +230,8 @@ def test_iterated_update_is_the_maximum_a_posteriori_of_scipy() -> None:
     root = np.linalg.inv(np.linalg.cholesky(case.v["P"]))
     white = 1.0 / np.sqrt(np.diag(case.R))
     optimum = least_squares(
-        lambda d: np.concatenate([root @ d, white * case.linearise(d)[0]]), np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15,
-        x_scale=np.sqrt(np.diag(case.v["P"])),
+        lambda d: np.concatenate([root @ d, white * case.linearise(d)[0]]), np.zeros(6),
+        xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=np.sqrt(np.diag(case.v["P"])),
     )  # fmt: skip
     found = case.update(8)
     assert np.abs((found.dx - optimum.x) / np.sqrt(np.diag(found.P))).max() < 1e-5  # differences limit scipy's gradient

@@ -48,7 +48,10 @@ def test_fourth_order_step_beats_the_mean_rate_for_a_linear_rate() -> None:
     mean = rotation.exp_quaternion(0.5 * (v["w0"] + v["w1"]) * v["dt"][:, None])
     fourth = rotation.exp_quaternion(propagation.step_vectors(v["w0"], v["w1"], v["dt"]))
     error = [
-        np.linalg.norm(rotation.log_quaternion(rotation.multiply(rotation.conjugate(truth), rotation.multiply(wxyz(v["q0"]), q))), axis=1)
+        np.linalg.norm(
+            rotation.log_quaternion(rotation.multiply(rotation.conjugate(truth), rotation.multiply(wxyz(v["q0"]), q))),
+            axis=1,
+        )
         for q in (mean, fourth)
     ]
     curved = error[0] > 1e-10
@@ -120,7 +123,9 @@ def bias_derivative(steps: Steps, bias: Array) -> Array:
     h, at, columns = 1e-4, preintegrate(steps, bias, N_R, N_W).dq, []
     for axis in np.eye(3):
         ahead, behind = (
-            rotation.log_quaternion(rotation.multiply(rotation.conjugate(at), preintegrate(steps, bias + s * h * axis, N_R, N_W).dq))
+            rotation.log_quaternion(
+                rotation.multiply(rotation.conjugate(at), preintegrate(steps, bias + s * h * axis, N_R, N_W).dq)
+            )
             for s in (1, -1)
         )
         columns.append((ahead - behind) / (2 * h))
@@ -199,6 +204,8 @@ def test_run_steps_takes_every_interval_from_its_own_start(rng: np.random.Genera
     for i, count in enumerate(counts):
         q = start[i]
         for j in range(steps.first[i], steps.first[i] + count):
-            v = propagation.step_vectors(steps.rate0[j : j + 1] - bias[i], steps.rate1[j : j + 1] - bias[i], steps.dt[j : j + 1])
+            v = propagation.step_vectors(
+                steps.rate0[j : j + 1] - bias[i], steps.rate1[j : j + 1] - bias[i], steps.dt[j : j + 1]
+            )
             q = rotation.multiply(q, rotation.exp_quaternion(v[0]))
             assert np.allclose(found[j], q, atol=1e-14)

@@ -81,7 +81,9 @@ def test_compose_is_log_of_the_product(rng: np.random.Generator) -> None:
 
 
 def test_from_matrix_undoes_matrix_also_at_half_turns(rng: np.random.Generator) -> None:
-    q = np.concatenate([random_quaternions(rng, 200), np.eye(4), rotation.normalise(np.array([[0.0, 1, -1, 0], [1e-9, 3, 2, 1]]))])
+    q = np.concatenate(
+        [random_quaternions(rng, 200), np.eye(4), rotation.normalise(np.array([[0.0, 1, -1, 0], [1e-9, 3, 2, 1]]))]
+    )
     back = rotation.from_matrix(rotation.matrix(q))
     assert np.all(back[:, 0] >= 0.0)
     assert np.allclose(np.abs(np.sum(back * q, axis=1)), 1.0, atol=1e-15)
@@ -108,7 +110,10 @@ def test_right_jacobian_is_the_derivative_of_exp(rng: np.random.Generator, size:
     inverse = rotation.conjugate(rotation.exp_quaternion(v))
     columns = []
     for axis in np.eye(3):
-        ahead, behind = (rotation.log_quaternion(rotation.multiply(inverse, rotation.exp_quaternion(v + s * h * axis))) for s in (1, -1))
+        ahead, behind = (
+            rotation.log_quaternion(rotation.multiply(inverse, rotation.exp_quaternion(v + s * h * axis)))
+            for s in (1, -1)
+        )
         columns.append((ahead - behind) / (2 * h))
     assert np.allclose(rotation.right_jacobian(v), np.column_stack(columns), rtol=0, atol=1e-9)
 
@@ -123,7 +128,10 @@ def test_inverse_right_jacobian_is_the_inverse(rng: np.random.Generator, size: f
 def test_right_jacobian_is_the_mean_of_the_turns_back(rng: np.random.Generator) -> None:
     v = rng.normal(size=3)
     nodes, weights = np.polynomial.legendre.leggauss(20)
-    mean = sum(0.5 * w * rotation.matrix(rotation.exp_quaternion(-0.5 * (x + 1) * v)) for x, w in zip(nodes, weights, strict=True))
+    mean = sum(
+        0.5 * w * rotation.matrix(rotation.exp_quaternion(-0.5 * (x + 1) * v))
+        for x, w in zip(nodes, weights, strict=True)
+    )
     assert np.allclose(rotation.right_jacobian(v), mean, atol=1e-14)
 
 

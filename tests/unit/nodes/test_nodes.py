@@ -137,7 +137,9 @@ def test_without_zero_rate_nothing_is_frozen_and_gravity_comes_every_second() ->
     for s in work.segmentation.stops:
         gravity = [m for m in flat if m.role == "gravity" and s.used_start <= m.t <= s.used_end]
         assert len(gravity) == int(s.used_end - s.used_start)
-        together = 1.0 / sum(1.0 / m.noise[0, 0] for m in gravity)  # one stop knows no more than the accelerometer's bias
+        together = 1.0 / sum(
+            1.0 / m.noise[0, 0] for m in gravity
+        )  # one stop knows no more than the accelerometer's bias
         assert np.sqrt(together) * 9.80665 == pytest.approx(0.02, rel=0.01)
 
 
@@ -193,7 +195,7 @@ def test_a_gap_lets_the_attitude_go() -> None:
 
 
 def per_sample(work: Job) -> tuple[Array, Array, Array]:
-    """A plain filter, one sample after the other, with the node's own measurements at its time: ``q``, ``bias``, ``P`` there."""
+    """A plain filter, one sample after the other, with the node's own measurements: ``q``, ``bias``, ``P`` at nodes."""
     nodes, steps = work.nodes, work.nodes.steps
     q, bias, P = work.start.q, work.start.bias, work.start.P
     groups = dict(zip(nodes.measured.tolist(), nodes.measurements, strict=True))
@@ -233,12 +235,15 @@ def update(q: Array, bias: Array, P: Array, group) -> tuple[Array, Array, Array]
 
 
 def test_node_filter_is_the_per_sample_filter() -> None:
-    work = simulated(RoverOptions(seed=43, duration_s=60.0, motions=1, compass=True, sun_always=True), compass={"sigma_deg": 3.0})
+    work = simulated(
+        RoverOptions(seed=43, duration_s=60.0, motions=1, compass=True, sun_always=True), compass={"sigma_deg": 3.0}
+    )
     run = indirect.run(work.nodes, work.start, gate_probability=1.0)
     q, bias, P = per_sample(work)
     turn = np.abs(rotation.log_quaternion(rotation.multiply(rotation.conjugate(q), run.q))).max()
     sigma = np.sqrt(np.einsum("kii->ki", P))
-    print(f"node filter against per-sample filter: {turn:.1e} rad, {np.abs((run.bias - bias) / sigma[:, 3:]).max():.1e} sigma of bias")
+    drift = np.abs((run.bias - bias) / sigma[:, 3:]).max()
+    print(f"node filter against per-sample filter: {turn:.1e} rad, {drift:.1e} sigma of bias")
     assert turn < 1e-9
-    assert np.abs((run.bias - bias) / sigma[:, 3:]).max() < 1e-5
+    assert drift < 1e-5
     assert np.abs((run.chain.P - P) / (sigma[:, :, None] * sigma[:, None])).max() < 1e-5

@@ -68,14 +68,21 @@ def test_noise_of_a_drive_is_the_simulators() -> None:
 
 
 def test_settings_come_first_and_assumptions_last() -> None:
-    work = simulated(RoverOptions(seed=31, motions=1, motion_s=(20.0, 30.0)), imu={"gyro_noise_density": 7e-4, "accel_noise_density": None})
+    work = simulated(
+        RoverOptions(seed=31, motions=1, motion_s=(20.0, 30.0)),
+        imu={"gyro_noise_density": 7e-4, "accel_noise_density": None},
+    )
     assert work.noise.gyro_density == 7e-4
     assert work.noise.sources["gyro_noise_density"] == "settings"
     s = work.segmentation
     nothing = Segmentation(s.motions, s.statistic, s.enter, s.leave, s.bias_b, s.margin, s.source)
     imu = work.settings.imu.model_copy(update={"gyro_noise_density": None, "gyro_random_walk": None})
     found = find_noise(work.log, nothing, work.settings.model_copy(update={"imu": imu}))
-    assert (found.gyro_density, found.gyro_walk, found.accel_density) == (ASSUMED_GYRO_DENSITY, ASSUMED_GYRO_WALK, ASSUMED_ACCEL_DENSITY)
+    assert (found.gyro_density, found.gyro_walk, found.accel_density) == (
+        ASSUMED_GYRO_DENSITY,
+        ASSUMED_GYRO_WALK,
+        ASSUMED_ACCEL_DENSITY,
+    )
     assert set(found.sources.values()) >= {"assumed"}
 
 

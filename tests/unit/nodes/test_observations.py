@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from support.drives import Job, simulated
 
-from attest_cli.nodes.observations import FIELD_CORRELATION_S, Observation, observe
-from attest_cli.records import Segmentation, Warn, World
+from attest_cli.nodes.observations import FIELD_CORRELATION_S, WINDOW_S, Observation, observe
+from attest_cli.records import Fixes, Segmentation, Warn, World
 from attest_cli.settings import Settings
 from attest_cli.simulate import RoverOptions
 
-OPTIONS = RoverOptions(seed=35, duration_s=100.0, motions=2, sun_always=True, compass=True, magnetometer=True, compass_hz=20.0)
+OPTIONS = RoverOptions(
+    seed=35, duration_s=100.0, motions=2, sun_always=True, compass=True, magnetometer=True, compass_hz=20.0
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +51,14 @@ def test_observations_come_in_time_order(work: Job) -> None:
 def test_policy_says_when_a_sensor_counts(work: Job, policy: str) -> None:
     found, _ = seen(work, smoothing={"absolute": policy})
     moving = {role: any(not o.still for o in of(found, role)) for role in ("sun", "compass", "magnetometer")}
-    assert moving == {
-        "auto": {"sun": True, "compass": True, "magnetometer": False},
-        "stops": {"sun": False, "compass": False, "magnetometer": False},
-        "always": {"sun": True, "compass": True, "magnetometer": True},
-    }[policy]
+    assert (
+        moving
+        == {
+            "auto": {"sun": True, "compass": True, "magnetometer": False},
+            "stops": {"sun": False, "compass": False, "magnetometer": False},
+            "always": {"sun": True, "compass": True, "magnetometer": True},
+        }[policy]
+    )
     assert all(o.still == inside_a_stop(work.segmentation, o.t) for o in found if len(o.times) == 1)
 
 
@@ -74,7 +79,7 @@ def test_a_fast_sensor_is_averaged_over_a_second_at_stops_and_a_node_in_motion(w
         assert np.ptp(o.times) < (1.0 if o.still else work.settings.smoothing.node_spacing_s)
         assert o.noise[0, 0] == pytest.approx(np.radians(3.0) ** 2 / len(o.times))
     assert max(len(o.times) for o in found if o.still) == 20
-    assert max(len(o.times) for o in found if not o.still) == 2
+    assert 2 <= max(len(o.times) for o in found if not o.still) <= 3  # the edge of a bin may round either way
 
 
 def test_the_sun_near_the_vertical_or_out_of_view_is_left_out(work: Job) -> None:
@@ -103,7 +108,7 @@ def test_a_log_without_a_stop_takes_its_tilt_from_motion(work: Job) -> None:
     found, warnings = observe(work.log, moving, work.world, work.noise, work.settings)
     gravity = of(found, "gravity")
     assert [w.code for w in warnings] == ["tilt-from-motion"]
-    assert 5 <= len(gravity) <= 10
+    assert len(gravity) == sum(int((m.end - m.start) / WINDOW_S) for m in s.motions)
     true = work.truth(np.array([o.t for o in gravity]))
     tilt = [np.arccos(np.clip(o.values[0] @ R[2], -1, 1)) for o, R in zip(gravity, true.R_nb, strict=True)]
     sigma = [np.sqrt(o.noise[0, 0]) for o in gravity]
@@ -111,8 +116,6 @@ def test_a_log_without_a_stop_takes_its_tilt_from_motion(work: Job) -> None:
 
 
 def test_orientation_uses_what_the_log_states_of_its_noise(work: Job) -> None:
-    from attest_cli.records import Fixes
-
     t = np.arange(0.5, 90.0, 1.0)
     q = work.truth(t).q_nb
     for sigma, wanted in ((None, np.radians(2.0)), (np.full((len(t), 3), 0.05), 0.05)):

@@ -13,6 +13,8 @@ from attest_cli.maths import rotation
 from attest_cli.sensors import SENSORS, Direction, Measurement, Sensor
 from attest_cli.sensors.direction import tangent_basis
 from attest_cli.sensors.heading import BodyHeading, FieldHeading, azimuth
+from attest_cli.sensors.orientation import Orientation
+from attest_cli.sensors.zero_rate import ZeroRate
 
 Array = NDArray[np.float64]
 STEP = 1e-5
@@ -32,11 +34,14 @@ def sees(reference: Array, R_sb: Array, columns: int, size: float) -> Callable[[
     return lambda rng, R: np.einsum("ij,mkj,k->mi", R_sb, near(R, rng, size), reference)[:, :columns]
 
 
-# role -> models of that role, each with a maker of samples (rng, R) -> values. Residuals are not zero, but for the tangent
-# rows: their basis turns with the prediction, so their Jacobian is that of the residual's own direction.
+# role -> models of that role, each with a maker of samples (rng, R) -> values. Residuals are not zero, but for the
+# tangent rows: their basis turns with the prediction, so their Jacobian is that of the residual's own direction.
 CASES: dict[str, list[Case]] = {
     "gravity": [
-        (SENSORS["gravity"](np.array([0.0, 0.0, 9.81]), rows="full"), sees(np.array([0.0, 0.0, 9.81]), np.eye(3), 3, 0.2)),
+        (
+            SENSORS["gravity"](np.array([0.0, 0.0, 9.81]), rows="full"),
+            sees(np.array([0.0, 0.0, 9.81]), np.eye(3), 3, 0.2),
+        ),
         (SENSORS["gravity"](np.array([0.0, 0.0, 1.0])), sees(np.array([0.0, 0.0, 1.0]), np.eye(3), 3, 0.0)),
     ],
     "sun": [
@@ -44,12 +49,21 @@ CASES: dict[str, list[Case]] = {
         (SENSORS["sun"](SUN_N, TILT, "tangent"), sees(SUN_N, TILT, 3, 0.0)),
         (SENSORS["sun"](SUN_N, TILT, "full"), sees(SUN_N, TILT, 3, 0.2)),
     ],
-    "compass": [(SENSORS["compass"](), lambda rng, R: 0.5 * np.pi - azimuth(near(R, rng, 0.2), np.tile([1.0, 0, 0], (len(R), 1)))[0][:, None])],
+    "compass": [
+        (
+            SENSORS["compass"](),
+            lambda rng, R: 0.5 * np.pi - azimuth(near(R, rng, 0.2), np.tile([1.0, 0, 0], (len(R), 1)))[0][:, None],
+        )
+    ],
     "magnetometer": [(SENSORS["magnetometer"](1.3), sees(np.array([5.7, 20.5, -43.0]), np.eye(3), 3, 0.2))],
     "orientation": [(SENSORS["orientation"](), lambda rng, R: rotation.from_matrix(near(R, rng, 0.5)))],
     "zero_rate": [(SENSORS["zero_rate"](), lambda rng, R: 0.01 * rng.normal(size=(len(R), 3)))],
 }
-FLAT = [pytest.param(sensor, make, id=f"{role}-{i}") for role, cases in CASES.items() for i, (sensor, make) in enumerate(cases)]
+FLAT = [
+    pytest.param(sensor, make, id=f"{role}-{i}")
+    for role, cases in CASES.items()
+    for i, (sensor, make) in enumerate(cases)
+]
 
 
 def attitudes(rng: np.random.Generator, m: int = 8) -> Array:
@@ -69,7 +83,9 @@ def test_every_registered_sensor_is_tested_here() -> None:
 
 
 @pytest.mark.parametrize(("sensor", "make"), FLAT)
-def test_jacobian_is_the_derivative_of_the_residual(rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]) -> None:
+def test_jacobian_is_the_derivative_of_the_residual(
+    rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]
+) -> None:
     R = attitudes(rng)
     values = make(rng, R)
     r, H = sensor.linearise(R, BIAS, values)
@@ -84,42 +100,38 @@ def test_jacobian_is_the_derivative_of_the_residual(rng: np.random.Generator, se
     assert np.abs(H).max() > 0.1
 
 
+def reads(sensor: Sensor, R: Array, bias: Array) -> Array:
+    """What the sensor reads at attitudes ``R`` and ``bias``, written out; an orientation with the other sign."""
+    if isinstance(sensor, BodyHeading):
+        return np.asarray(0.5 * np.pi - np.arctan2(R[:, 1, 0], R[:, 0, 0])[:, None])
+    if isinstance(sensor, FieldHeading):
+        a = sensor.azimuth_n
+        return np.einsum("mkj,k->mj", R, [np.cos(a), np.sin(a), -1.4])
+    if isinstance(sensor, Direction):
+        full = np.einsum("ij,mkj,k->mi", sensor.R_sb, R, sensor.reference_n)
+        return full[:, :2] if sensor.rows == "plane" else full
+    if isinstance(sensor, Orientation):
+        return -rotation.from_matrix(R)
+    assert isinstance(sensor, ZeroRate)
+    return np.tile(bias, (len(R), 1))
+
+
 @pytest.mark.parametrize(("sensor", "make"), FLAT)
 def test_residual_vanishes_at_the_truth(rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]) -> None:
     R = attitudes(rng)
-    same = {"compass": lambda: 0.5 * np.pi - azimuth(R, np.tile([1.0, 0, 0], (len(R), 1)))[0][:, None]}
-    for role, cases in CASES.items():
-        if any(sensor is s for s, _ in cases):
-            break
-    if isinstance(sensor, Direction):
-        full = np.einsum("ij,mkj,k->mi", sensor.R_sb, R, sensor.reference_n)
-        values = full[:, :2] if sensor.rows == "plane" else full
-    elif role == "magnetometer":
-        values = np.einsum("mkj,k->mj", R, [np.cos(1.3), np.sin(1.3), -1.4])
-    elif role == "orientation":
-        values = -rotation.from_matrix(R)  # either sign of a quaternion
-    elif role == "zero_rate":
-        values = np.tile(BIAS, (len(R), 1))
-    else:
-        values = same[role]()
-    r, _ = sensor.linearise(R, BIAS, values)
+    r, _ = sensor.linearise(R, BIAS, reads(sensor, R, BIAS))
     assert np.abs(r).max() < 1e-8
 
 
 @pytest.mark.parametrize(("sensor", "make"), FLAT)
-def test_one_step_brings_a_small_error_home(rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]) -> None:
+def test_one_step_brings_a_small_error_home(
+    rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]
+) -> None:
     """The residual of a small true error is ``H`` times it, to second order: signs and frames in one."""
     R = attitudes(rng, 4)
     error = 1e-4 * rng.normal(size=6)
-    truth_R, truth_bias = R @ rotation.matrix(rotation.exp_quaternion(error[:3])), BIAS + error[3:]
-    values = {  # what the sensor reads at the truth
-        BodyHeading: lambda: 0.5 * np.pi - azimuth(truth_R, np.tile([1.0, 0, 0], (4, 1)))[0][:, None],
-        FieldHeading: lambda: np.einsum("mkj,k->mj", truth_R, [np.cos(1.3), np.sin(1.3), -1.4]),
-        Direction: lambda: np.einsum("ij,mkj,k->mi", sensor.R_sb, truth_R, sensor.reference_n),  # type: ignore[attr-defined]
-        SENSORS["orientation"]: lambda: rotation.from_matrix(truth_R),
-        SENSORS["zero_rate"]: lambda: np.tile(truth_bias, (4, 1)),
-    }[type(sensor)]()
-    r, H = sensor.linearise(R, BIAS, values)
+    truth = R @ rotation.matrix(rotation.exp_quaternion(error[:3]))
+    r, H = sensor.linearise(R, BIAS, reads(sensor, truth, BIAS + error[3:]))
     assert np.abs(r - H @ error).max() < 1e-6 * max(1.0, float(np.abs(H).max()))
     assert np.abs(r).max() > 1e-6
 
@@ -173,20 +185,25 @@ def test_tangent_and_full_rows_carry_the_same_information(rng: np.random.Generat
 
 
 @pytest.mark.parametrize(("sensor", "make"), FLAT)
-def test_a_group_is_the_mean_of_its_samples_turned_to_the_node(rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]) -> None:
+def test_a_group_is_the_mean_of_its_samples_turned_to_the_node(
+    rng: np.random.Generator, sensor: Sensor, make: Callable[..., Array]
+) -> None:
     node = attitudes(rng, 1)[0]
     turn = Rotation.from_rotvec(0.1 * rng.normal(size=(5, 3))).as_matrix()
     values = make(rng, node @ turn)
     m = Measurement("x", sensor, 0, 0.0, values, np.eye(sensor.dof), turn)
     r, H = m.linearise(node, BIAS)
-    wanted = np.mean([sensor.linearise((node @ T)[None], BIAS, z[None])[0][0] for T, z in zip(turn, values, strict=True)], axis=0)
+    wanted = np.mean(
+        [sensor.linearise((node @ T)[None], BIAS, z[None])[0][0] for T, z in zip(turn, values, strict=True)], axis=0
+    )
     assert np.allclose(r, wanted, atol=1e-13)
     columns = []
     for state in range(6):
         d = np.zeros(6)
         d[state] = STEP
         ahead, behind = (
-            m.linearise(node @ rotation.matrix(rotation.exp_quaternion(s * d[:3])), BIAS + s * d[3:])[0] for s in (1, -1)
+            m.linearise(node @ rotation.matrix(rotation.exp_quaternion(s * d[:3])), BIAS + s * d[3:])[0]
+            for s in (1, -1)
         )
         columns.append(-(ahead - behind) / (2 * STEP))
     assert np.abs(H - np.column_stack(columns)).max() < 1e-6 * np.abs(H).max()

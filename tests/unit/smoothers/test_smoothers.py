@@ -43,12 +43,26 @@ def test_contract_of_every_smoother(run: FilterRun, work: Job, name: str) -> Non
     assert np.array_equal(found.P, found.P.swapaxes(1, 2))
     assert np.linalg.eigvalsh(found.P).min() > 0
     assert degrees_apart(found.q[-1:], run.q[-1:]) < 1e-9  # nothing comes after the last node
-    joint = np.concatenate([np.concatenate([found.P[:-1], found.cross], 2), np.concatenate([found.cross.swapaxes(1, 2), found.P[1:]], 2)], 1)
-    sigma = np.sqrt(np.einsum("kii->ki", joint))
-    assert np.linalg.eigvalsh(joint / (sigma[:, :, None] * sigma[:, None])).min() > -1e-8  # a covariance of two nodes
     if name != "none":
         better = score(work, found.t, found.q, found.bias, found.P).attitude
         assert better < 0.5 * score(work, run.t, run.q, run.bias, run.chain.P).attitude
+
+
+NONE_CROSS = (
+    "the lag-one covariance of `none` is that before the update of the next node: not a covariance with P after it"
+)
+
+
+@pytest.mark.parametrize(
+    "name", ["two-filter", "rts", pytest.param("none", marks=pytest.mark.xfail(reason=NONE_CROSS))]
+)
+def test_two_neighbours_have_a_covariance(run: FilterRun, name: str) -> None:
+    """``[[P_k, cross], [cross', P_k+1]]`` is positive semidefinite; the position sigma rests on it."""
+    found = SMOOTHERS[name](run)
+    above = np.concatenate([found.P[:-1], found.cross], axis=2)
+    joint = np.concatenate([above, np.concatenate([found.cross.swapaxes(1, 2), found.P[1:]], axis=2)], axis=1)
+    sigma = np.sqrt(np.einsum("kii->ki", joint))
+    assert np.linalg.eigvalsh(joint / (sigma[:, :, None] * sigma[:, None])).min() > -1e-8
 
 
 def test_two_filter_is_rts(run: FilterRun) -> None:
@@ -83,7 +97,9 @@ def test_apply_moves_the_covariance_to_the_corrected_tangent(run: FilterRun, rng
     truth = rotation.multiply(run.q[k], rotation.exp_quaternion(d[k, :3] + 1e-3 * samples[:, :3]))
     about = rotation.log_quaternion(rotation.multiply(rotation.conjugate(found.q[k]), truth)) / 1e-3
     wanted, sigma = np.cov(about.T), np.sqrt(np.diag(found.P[k])[:3])
-    assert np.abs((found.P[k, :3, :3] - wanted) / np.outer(sigma, sigma)).max() < 0.06  # 20000 samples: 4 sigma are 0.04
+    assert (
+        np.abs((found.P[k, :3, :3] - wanted) / np.outer(sigma, sigma)).max() < 0.06
+    )  # 20000 samples: 4 sigma are 0.04
 
 
 def test_backward_pass_holds_what_comes_after(work: Job, run: FilterRun) -> None:
@@ -132,7 +148,9 @@ def start_of(case: Case) -> Smoothed:
 def residuals(case: Case, q: Array, bias: Array) -> Array:
     """Every whitened residual of the maximum a posteriori problem, written out."""
     inc = case.nodes.increments
-    e = np.concatenate([rotation.log_quaternion(rotation.multiply(rotation.conjugate(case.start.q), q[0])), bias[0] - case.start.bias])
+    e = np.concatenate(
+        [rotation.log_quaternion(rotation.multiply(rotation.conjugate(case.start.q), q[0])), bias[0] - case.start.bias]
+    )
     out = [np.linalg.solve(np.linalg.cholesky(case.start.P), e)]
     turns, _ = inc.at(bias[:-1], 0, len(q) - 1)
     turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(rotation.multiply(q[:-1], turns)), q[1:]))
@@ -157,9 +175,10 @@ def test_gauss_newton_is_scipys_least_squares(case: Case) -> None:
     at_optimum = np.sum(residuals(case, found.q, found.bias) ** 2)
     assert at_optimum < np.sum(residuals(case, first.q, first.bias) ** 2) + 1e-12
     sigma = np.sqrt(np.einsum("kii->ki", found.P))
-    solved = least_squares(lambda x: trial(x * sigma.ravel()), np.zeros(6 * n), method="trf", xtol=1e-10, ftol=1e-12, gtol=1e-10)
-    print(f"scipy moves the optimum by {np.abs(solved.x).max():.1e} sigma")
-    assert np.abs(solved.x).max() < 2e-2  # transitions are linearised at constant rate: second order in gyro noise
+    solved = least_squares(lambda x: trial(x * sigma.ravel()), np.zeros(6 * n), jac="3-point", max_nfev=1)
+    step = np.linalg.solve(solved.jac.T @ solved.jac, solved.grad)
+    print(f"by numerical derivatives the optimum is {np.abs(step).max():.1e} sigma away")
+    assert np.abs(step).max() < 2e-2  # transitions are linearised at constant rate: second order in gyro noise
     dense = np.linalg.inv(solved.jac.T @ solved.jac).reshape(n, 6, n, 6)
     P = np.stack([dense[k, :, k] for k in range(n)]) * sigma[:, :, None] * sigma[:, None]
     assert np.abs((P - found.P) / (sigma[:, :, None] * sigma[:, None])).max() < 2e-2
@@ -188,7 +207,9 @@ def test_gauss_newton_keeps_out_what_the_gate_rejected(case: Case) -> None:
     gated = gauss_newton.refine(nodes, case.start, SMOOTHERS["two-filter"](run), run.innovations, 4)
     groups[5] = groups[5][1:]
     without = replace(case.nodes, measurements=tuple(groups))
-    clean = gauss_newton.refine(without, case.start, SMOOTHERS["two-filter"](indirect.run(without, case.start)), None, 4)
+    clean = gauss_newton.refine(
+        without, case.start, SMOOTHERS["two-filter"](indirect.run(without, case.start)), None, 4
+    )
     assert degrees_apart(gated.q, clean.q) < 1e-6
 
 
