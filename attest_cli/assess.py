@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from .position import Position
 from .records import Array, Bools, FilterRun, Log, Segment, Segmentation, Smoothed
 from .track import world_variance
 
-LATE_S = 1.0  # a threshold passed sooner was passed from the start
 LONGEST_S = 86400.0  # the advice looks this far ahead
 
 
@@ -26,12 +26,14 @@ class Pass:
     bias: Array
     P: Array
 
-    def turned(self, q_bv: Array) -> Pass:
-        """Return the same pass in body axes ``v``: ``q_nv = q_nb q_bv``."""
+    def turned(self, q_bv: Array, sigma: Array) -> Pass:
+        """Return the same pass in body axes ``v``, themselves known to ``sigma`` (3,) rad: ``q_nv = q_nb q_bv``."""
         R = rotation.matrix(q_bv)
         T = np.zeros((6, 6))
         T[:3, :3] = T[3:, 3:] = R.T
-        return Pass(rotation.multiply(self.q, q_bv), self.bias @ R, T @ self.P @ T.T)
+        P = T @ self.P @ T.T
+        P[:, :3, :3] += np.diag(sigma**2)
+        return Pass(rotation.multiply(self.q, q_bv), self.bias @ R, P)
 
     def sigma_n(self) -> Array:
         """Return the attitude sigmas (n, 3) about world axes, rad."""
@@ -184,12 +186,13 @@ def stop_advice(
     heading = bool(np.any(over & (sigma[:, 2] >= sigma[:, :2].max(axis=1))))
     longest = longest_drive(run, segmentation, noise, np.radians(threshold_deg))
     lines = []
-    for s in segmentation.motions:
-        late = np.flatnonzero(over & (run.t >= s.start) & (run.t <= s.end))
-        if len(late):
-            after = run.t[late[0]] - s.start
-            when = f"stop {_clock(after)} after it began" if after > LATE_S else "stop before it begins"
-            lines.append(f"segment {s.index}: {when}")
+    for stop, motion in pairwise(segmentation.segments):
+        if stop.motion or not motion.motion:
+            continue  # where no stop stands before, none can be advised
+        late = np.flatnonzero(over & (run.t >= motion.start) & (run.t <= motion.end))
+        at_stop = np.flatnonzero((run.t >= stop.used_start) & (run.t <= stop.used_end))
+        if len(late) and len(at_stop) and sigma[at_stop[-1]].max() < threshold_deg:
+            lines.append(f"segment {motion.index}: stop {_clock(run.t[late[0]] - motion.start)} after it began")
     return {
         "threshold_deg": threshold_deg,
         "axis": "heading" if heading or not over.any() else "tilt",

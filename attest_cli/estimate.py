@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from . import filters, mounting, position
-from .errors import AttestError
+from . import filters
 from .filters.alignment import Start, align
 from .maths import rotation
 from .maths.consistency import upper_quantile
-from .mounting import Mounting
 from .nodes import Nodes, build_nodes
 from .nodes.noise import Noise, find_noise
 from .nodes.observations import observe
-from .position import Position
-from .records import Array, FilterRun, Log, Segmentation, Smoothed, Warn, World
+from .records import FilterRun, Log, Segmentation, Smoothed, Warn, World
 from .settings import Settings
 from .smoothers import SMOOTHERS, gauss_newton
 from .world import find_world
@@ -27,12 +23,11 @@ Progress = Callable[[str, float], None]
 AUTO_PASSES = 6
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
+FEW_MOTIONS = 4
 BENT_SHARE = 1e-3  # of the nodes
 DOUBTFUL_SHARE = 0.02  # of the measurements refused: the trajectory may be the one at fault
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
 
 
 def silent(stage: str, share: float) -> None:
@@ -62,6 +57,7 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     progress("forward filter", 0.3)
     run_filter = filters.load(settings.smoothing.filter)
     nodes, forward, raised = consistent_run(run_filter, nodes, start, settings.smoothing.gate_probability)
+    forward = replace(forward, heading=_heading(forward))
     progress("smoothing", 0.5)
     smoothed = smooth_run(nodes, start, forward, settings)
     told = (*warnings, *raised, *_heading_warnings(forward))
@@ -82,10 +78,11 @@ def consistent_run(
         forward = run_filter(nodes, start, gate)
         found = forward.innovations
         after = (found.role == "gravity") & (found.t > found.t[found.role == "gravity"].min(initial=np.inf))
-        freedom = int(found.dof[after].sum())
-        if freedom == 0 or found.nis[after].sum() <= upper_quantile(freedom, SURE):
+        nis = np.sort(found.nis[after])[: -1 if after.sum() >= FEW_MOTIONS else None]  # one odd stop proves nothing
+        freedom = 2 * len(nis)
+        if freedom == 0 or nis.sum() <= upper_quantile(freedom, SURE):
             break
-        factor = min(float(found.nis[after].sum()) / freedom, UNKNOWN_RAD**2 / nodes.motion_variance())
+        factor = min(float(nis.sum()) / freedom, UNKNOWN_RAD**2 / nodes.motion_variance())
         if factor < LEAST_RAISE:
             break
         nodes, raised = nodes.raised(factor), raised * factor
@@ -98,7 +95,7 @@ def consistent_run(
         [
             Warn(
                 "gyro-noise-raised",
-                f"the gyro drifts {np.sqrt(raised):.2g} times its noise in motion: sigma raised to fit",
+                f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit",
                 hint,
             )
         ],
@@ -136,6 +133,13 @@ def doubtful(forward: FilterRun, smoothed: Smoothed) -> bool:
     return forward.start_in_motion or refused > DOUBTFUL_SHARE or float(np.mean(bent)) > BENT_SHARE
 
 
+def _heading(forward: FilterRun) -> str:
+    """Return the kind of heading: relative where every measurement of it was refused."""
+    found = forward.innovations
+    seen = set(found.role[found.used].tolist())
+    return forward.heading if seen & {"sun", "compass", "magnetometer", "orientation"} else "relative"
+
+
 def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
     if forward.heading == "relative":
         return (
@@ -143,71 +147,3 @@ def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
                  "add a compass, a sun sensor or a magnetometer"),
         )  # fmt: skip
     return ()
-
-
-def locate(
-    log: Log, segmentation: Segmentation, est: Estimate, q: Array, settings: Settings
-) -> tuple[Position | None, Mounting | None, list[Warn]]:
-    """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position."""
-    odometry, mode = log.fixes.get("odometry"), settings.smoothing.position
-    seat = _seat(log, segmentation, est, q, settings)
-    told: list[Warn] = []
-    if mode == "odometry" and odometry is None:
-        raise AttestError(f"{log.sources[0].name}: no odometry for the position", "use --position auto")
-    if odometry is not None and mode in {"auto", "odometry"}:
-        if seat is not None or settings.imu.mounting != "auto" or _upright(segmentation, log):
-            lag, q_bv = (seat.lag, seat.q_bv) if seat else (0.0, IDENTITY)
-            if lag:
-                told.append(
-                    Warn("odometry-late", f"odometry is {abs(lag):.2f} s {_late(lag)} against the IMU: corrected")
-                )
-            on_time = replace(odometry, t=odometry.t - lag)
-            found = position.odometry_position(log.imu, q, q_bv, est.smoothed, segmentation, on_time, settings)
-            return found, seat, told
-        told.append(
-            Warn("odometry-not-used", "odometry not used: the drive does not show how the IMU sits in the vehicle",
-                 "give [imu] mounting")
-        )  # fmt: skip
-    if mode == "none" or not segmentation.stops:
-        return None, seat, told
-    found = position.inertial_position(
-        log.imu, q, est.nodes, est.smoothed, segmentation, settings, est.world.gravity,
-        literal=mode == "literal",
-    )  # fmt: skip
-    return found, seat, told
-
-
-def _late(lag: float) -> str:
-    return "late" if lag > 0 else "early"
-
-
-def _seat(log: Log, segmentation: Segmentation, est: Estimate, q: Array, settings: Settings) -> Mounting | None:
-    """Return how the IMU sits in the vehicle, None where the settings or the drive do not tell."""
-    if "odometry" not in log.fixes or settings.imu.mounting != "auto":
-        return None
-    seat = mounting.find_mounting(log.imu, q, segmentation, log.fixes["odometry"], est.world.gravity)
-    if seat is not None and mounting.axes_agree(seat.q_bv):
-        return replace(seat, q_bv=IDENTITY, how="IMU and vehicle axes agree")
-    return seat
-
-
-def _upright(segmentation: Segmentation, log: Log) -> bool:
-    """Return whether gravity at the stops lies along the IMU's z axis: then its x axis is taken as forward."""
-    if not segmentation.stops:
-        return False
-    up = np.mean([log.imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
-    return bool(up[2] > np.cos(np.radians(UPRIGHT_DEG)) * np.linalg.norm(up))
-
-
-def body_axes(
-    seat: Mounting | None, settings: Settings
-) -> tuple[np.ndarray[Any, np.dtype[np.float64]], dict[str, Any]]:
-    """Return the turn from the track's body axes to the IMU's, and how the report tells it (``q_body_sensor``)."""
-    given = settings.imu.mounting
-    if given != "auto":
-        return IDENTITY, {"axes": "vehicle", "q_body_sensor": list(given), "how": "mounting of the settings"}
-    if settings.body.axes == "vehicle" and seat is None:
-        raise AttestError("the drive does not show the vehicle's axes", "give [imu] mounting, or use --body imu")
-    if settings.body.axes == "imu" or seat is None:
-        return IDENTITY, {"axes": "imu", "q_body_sensor": IDENTITY.tolist(), "how": "axes of the IMU"}
-    return seat.q_bv, {"axes": "vehicle", "q_body_sensor": rotation.conjugate(seat.q_bv).tolist(), "how": seat.how}

@@ -5,45 +5,58 @@ agree.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from .maths import rotation
 from .records import Array, Fixes, Imu, Ints, Segmentation
 
-WINDOW_S = 1.0  # speed is compared over windows of this length
-LAGS_S = np.round(np.arange(-1.0, 1.001, 0.05), 3)  # odometry stamps against IMU stamps
+BLOCK_S = 1.0  # velocities are compared as means over this: wheel noise in the regressor would shorten the fit
+MOST_LAG_S, COARSE_LAG_S = 1.0, 0.2  # odometry stamps against IMU stamps
 CERTAIN_DEG = 5.0  # forward axis: sigma below which it is believed
-LEAST_WINDOWS = 20
-SMOOTH_WINDOWS = 5  # windows on either side whose mean is taken away
-SIGNIFICANT = 100.0  # drop of the weighted misfit that a lag must bring: ten sigma, for windows are not independent
-NEAR_DEG = 10.0  # axes that agree to this are taken as equal
+LEAST_BLOCKS = 20
+UNSEEN_SLOPE = np.radians(3.0)  # slope of the ground where fewer than three stops show it
+LEAST_SLOPE = np.radians(0.2)
+SMOOTH_BLOCKS = 5  # blocks on either side whose mean is taken away
+SIGNIFICANT = 100.0  # drop of the weighted misfit that a lag must bring: ten sigma, for blocks are not independent
+NEAR_DEG = 3.0  # axes that agree to this, or to three sigma, are taken as equal
+WRONG_SCALE = 0.25  # wheel speed this far from what the accelerometer shows contradicts it
 
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """``q_bv`` (4,) vehicle (FLU) to IMU axes, sigma of the forward axis, ``lag`` s that odometry stamps are late,
-    and how it was found.
+    """How the IMU sits, seen by the drive.
+
+    ``q_bv`` (4,) vehicle (FLU) to IMU axes; ``sigma`` (3,) of that attitude about vehicle axes, rad (roll from the
+    slope of the ground at the stops); ``scale`` and ``scale_sigma`` of the specific force against the wheel speed (1
+    when both are right); ``lag`` s that odometry stamps are late; ``how`` it was found.
     """
 
     q_bv: Array
-    sigma_deg: float
+    sigma: Array
+    scale: float
+    scale_sigma: float
     lag: float
     how: str
 
+    @property
+    def certain(self) -> bool:
+        """Whether the forward axis is known well enough to be used."""
+        return bool(np.degrees(self.sigma[2]) <= CERTAIN_DEG)
 
-def forward_speed(odometry: Fixes) -> Array:
-    """Return the forward speed (m,), m/s."""
-    return np.asarray(odometry.values[:, 0])
+    @property
+    def contradicted(self) -> bool:
+        """Whether the wheel speed is wrong in size or sign by more than its calibration can be."""
+        return abs(self.scale - 1.0) > max(WRONG_SCALE, 4.0 * self.scale_sigma)
 
 
 def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixes, gravity: float) -> Mounting | None:
-    r"""Find the vehicle's axes in the IMU's, or None where the drive does not show them.
+    r"""Find the vehicle's axes in the IMU's, or None where the drive does not show them at all.
 
-    With the forward axis :math:`u_b` and wheel speed :math:`s`, over every window in motion
+    With the forward axis :math:`u_b` and wheel speed :math:`s`, between the means over neighbouring blocks of a motion
 
-    .. math:: \left(R_{nb}(t_1)s_1-R_{nb}(t_0)s_0\right)u_b=\int_{t_0}^{t_1}(R_{nb}f-g)\,dt,
+    .. math:: \left(\overline{R_{nb}s}_{k+1}-\overline{R_{nb}s}_k\right)u_b=\bar v_{k+1}-\bar v_k,\qquad
+        v=\int(R_{nb}f-g)\,dt,
 
     linear in :math:`u_b`: least squares, at the lag of the odometry's stamps with the smallest misfit. Up is the mean
     gravity of the stops, made orthogonal to forward.
@@ -53,82 +66,115 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     q : (n, 4) smoothed attitude of the IMU at its samples
     gravity : m/s^2
     """
-    if not segmentation.stops:
+    at = np.flatnonzero((odometry.t > imu.t[0] + 1.0) & (odometry.t < imu.t[-1] - 1.0))
+    t, near = odometry.t[at], np.clip(np.searchsorted(imu.t, odometry.t[at]), 0, len(imu.t) - 1)
+    block, owner = _blocks(t, segmentation)
+    if not segmentation.stops or len(owner) < LEAST_BLOCKS:
         return None
-    up = np.sum([imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
-    up /= np.linalg.norm(up)
-    edges, owner = _windows(imu, segmentation)
-    if len(edges) < LEAST_WINDOWS:
-        return None
-    R = rotation.matrix(q)
-    a_n = np.einsum("kij,kj->ki", R, imu.accel_b) - np.array([0.0, 0.0, gravity])
-    dt = np.diff(imu.t)
-    gained = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (a_n[1:] + a_n[:-1]) * dt[:, None], axis=0)])
-    wanted = _high_pass(gained[edges[:, 1]] - gained[edges[:, 0]], owner).reshape(-1)
-    fits = [_fit(R, imu.t, edges, owner, odometry, wanted, float(lag)) for lag in LAGS_S]
-    zero = fits[len(LAGS_S) // 2]
-    best = min(range(len(fits)), key=lambda i: fits[i][1])
-    lag = float(LAGS_S[best])
-    if (zero[1] - fits[best][1]) / (fits[best][1] / len(wanted)) < SIGNIFICANT or abs(lag) == LAGS_S[-1]:
-        best, lag = len(LAGS_S) // 2, 0.0
-    u, _, sigma = fits[best]
+    a_n = rotation.rotate(q, imu.accel_b) - np.array([0.0, 0.0, gravity])
+    steps = 0.5 * (a_n[1:] + a_n[:-1]) * np.diff(imu.t)[:, None]
+    speed_n = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])[near]
+    wanted = _high_pass(_change(_means(speed_n, block), owner), owner).reshape(-1)
+    R = rotation.matrix(q[near])
+
+    def fit(lag: float) -> tuple[Array, float, Array]:
+        s = np.interp(t, odometry.t - lag, odometry.values[:, 0])
+        return _fit(_high_pass(_change(_means(R * s[:, None, None], block), owner), owner), wanted)
+
+    u, misfit, covariance = fit(0.0)
+    # whole periods only: between samples interpolation quietens the wheels, which would look like a better lag
+    period = float(np.median(np.diff(odometry.t)))
+    reach, coarse = int(MOST_LAG_S / period), max(1, round(COARSE_LAG_S / period))
+    near_best = min(range(-reach, reach + 1, coarse), key=lambda k: fit(k * period)[1])
+    lag = period * min(range(near_best - coarse + 1, near_best + coarse), key=lambda k: fit(k * period)[1])
+    best = fit(lag)
+    if (misfit - best[1]) / (best[1] / len(wanted)) > SIGNIFICANT and abs(lag) < MOST_LAG_S - COARSE_LAG_S:
+        u, misfit, covariance = best
+    else:
+        lag = 0.0
+    return _seat(imu, segmentation, u, covariance, round(lag, 2))
+
+
+def _seat(imu: Imu, segmentation: Segmentation, u: Array, covariance: Array, lag: float) -> Mounting | None:
+    """Complete the forward axis with gravity at the stops."""
     size = float(np.linalg.norm(u))
-    if not 0.5 < size < 2.0 or np.degrees(sigma / size) > CERTAIN_DEG:
+    if not np.isfinite(size) or size < 1e-3:
         return None
+    ups = np.array([imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops])
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    up = ups.mean(axis=0)
     forward = u / size
     left = np.cross(up, forward)
     if np.linalg.norm(left) < 0.5:
         return None
     left /= np.linalg.norm(left)
     R_bv = np.column_stack([forward, left, np.cross(forward, left)])
-    return Mounting(
-        rotation.from_matrix(R_bv), float(np.degrees(sigma / size)), lag, "gravity at stops and wheel speed"
-    )
+    axis = np.sqrt(np.diag(R_bv.T @ covariance @ R_bv)) / size  # of the forward axis, along vehicle axes
+    slope = float(np.std(ups @ left)) / np.sqrt(len(ups)) if len(ups) > 2 else UNSEEN_SLOPE
+    sigma = np.array([max(slope, LEAST_SLOPE), axis[2], axis[1]])
+    roll, yaw = np.degrees(sigma[0]), np.degrees(sigma[2])
+    how = f"gravity at {len(ups)} stops and wheel speed: roll to {roll:.1f}°, forward to {yaw:.1f}°"
+    return Mounting(rotation.from_matrix(R_bv), sigma, size, float(np.sqrt(forward @ covariance @ forward)), lag, how)
 
 
-def _windows(imu: Imu, segmentation: Segmentation) -> tuple[Ints, Ints]:
-    """Return first and last sample (k, 2) of the windows that lie within one motion, and the motion's index (k,)."""
-    rows, owner = [], []
+def _blocks(t: Array, segmentation: Segmentation) -> tuple[Ints, Ints]:
+    """Return the block of each odometry stamp (-1: none) and the motion of each block; blocks fill whole seconds of
+    motions.
+    """
+    block = np.full(len(t), -1, dtype=np.int64)
+    owner: list[int] = []
     for s in segmentation.motions:
-        cuts = np.searchsorted(imu.t, np.arange(s.start, s.end, WINDOW_S))
-        pairs = [(a, b) for a, b in pairwise(cuts.tolist()) if b > a and b < len(imu.t)]
-        rows += pairs
-        owner += [s.index] * len(pairs)
-    return np.array(rows, dtype=np.int64).reshape(-1, 2), np.array(owner, dtype=np.int64)
+        count = int((s.end - s.start) / BLOCK_S)
+        for rows in (
+            slice(*np.searchsorted(t, [s.start + k * BLOCK_S, s.start + (k + 1) * BLOCK_S])) for k in range(count)
+        ):
+            if rows.stop - rows.start >= 2:
+                block[rows] = len(owner)
+                owner.append(s.index)
+    return block, np.array(owner, dtype=np.int64)
+
+
+def _means(values: Array, block: Ints) -> Array:
+    """Return the means (blocks, ...) of samples by block."""
+    kept = block >= 0
+    first = np.flatnonzero(np.diff(block[kept], prepend=-1))
+    count = np.diff(np.append(first, kept.sum())).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.add.reduceat(values[kept], first, axis=0) / count)
+
+
+def _change(means: Array, owner: Ints) -> Array:
+    """Return the change from each block to the next of the same motion; zero after the last."""
+    out = np.zeros_like(means)
+    same = np.flatnonzero(owner[1:] == owner[:-1])
+    out[same] = means[same + 1] - means[same]
+    return out
 
 
 def _high_pass(values: Array, owner: Ints) -> Array:
-    """Take away the mean of the windows around (k, ...), motion by motion: what a slowly wrong tilt makes of
-    gravity.
-    """
+    """Take away the mean of the blocks around (k, ...), motion by motion: what a slowly wrong tilt makes of gravity."""
     out = np.empty_like(values)
     for index in np.unique(owner):
         mine = np.flatnonzero(owner == index)
         total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values[mine], axis=0)])
         k = np.arange(len(mine))
-        lo, hi = np.maximum(k - SMOOTH_WINDOWS, 0), np.minimum(k + SMOOTH_WINDOWS + 1, len(mine))
+        lo, hi = np.maximum(k - SMOOTH_BLOCKS, 0), np.minimum(k + SMOOTH_BLOCKS + 1, len(mine))
         count = (hi - lo).reshape(-1, *[1] * (values.ndim - 1))
         out[mine] = values[mine] - (total[hi] - total[lo]) / count
     return out
 
 
-def _fit(
-    R: Array, t: Array, edges: Ints, owner: Ints, odometry: Fixes, wanted: Array, lag: float
-) -> tuple[Array, float, float]:
-    """Return forward axis (3,), misfit and the largest sigma of the axis, for one lag."""
-    first, last = edges.T
-    speed = np.interp(t, odometry.t - lag, forward_speed(odometry))
-    gain = R[last] * speed[last, None, None] - R[first] * speed[first, None, None]
-    A = _high_pass(gain, owner).reshape(-1, 3)
+def _fit(regressor: Array, wanted: Array) -> tuple[Array, float, Array]:
+    """Return forward axis (3,), misfit and covariance (3, 3) of the least squares."""
+    A = regressor.reshape(-1, 3)
     normal = A.T @ A
-    if np.linalg.cond(normal) > 1e12:
-        return np.zeros(3), np.inf, np.inf
+    if not np.isfinite(normal).all() or np.linalg.cond(normal) > 1e12:
+        return np.zeros(3), np.inf, np.full((3, 3), np.inf)
     u = np.asarray(np.linalg.solve(normal, A.T @ wanted), dtype=np.float64)
     misfit = float(np.sum((A @ u - wanted) ** 2))
-    covariance = np.linalg.inv(normal) * misfit / max(len(wanted) - 3, 1)
-    return u, misfit, float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return u, misfit, np.linalg.inv(normal) * misfit / max(len(wanted) - 3, 1)
 
 
-def axes_agree(q_bv: Array) -> bool:
-    """Return whether vehicle and IMU axes are the same within 10 deg."""
-    return bool(np.degrees(np.linalg.norm(rotation.log_quaternion(q_bv))) < NEAR_DEG)
+def axes_agree(seat: Mounting) -> bool:
+    """Return whether vehicle and IMU axes may be the same: within 3 deg, or three sigma of what the drive shows."""
+    turn = np.abs(rotation.log_quaternion(seat.q_bv))
+    return bool(np.all(turn < np.maximum(np.radians(NEAR_DEG), 3.0 * seat.sigma)))

@@ -12,9 +12,9 @@ import numpy as np
 
 from . import __version__, assess, tables
 from .errors import AttestError
-from .estimate import Estimate, Progress, body_axes, estimate, locate, silent
+from .estimate import Estimate, Progress, estimate, silent
 from .filters import named
-from .mounting import Mounting
+from .locate import Vehicle, locate
 from .nodes.noise import find_noise
 from .nodes.observations import observe
 from .position import Position
@@ -57,20 +57,19 @@ def smooth(
         est = estimate(log, segmentation, settings, progress)
         progress("position", 0.6)
         q = full_rate(est.nodes, est.smoothed, log.imu.t)
-        place, seat, warnings = locate(log, segmentation, est, q, settings)
-        run, track = _assemble(paths, recordings, log, effective, segmentation, est, q, place, seat, warnings)
+        place, vehicle, warnings = locate(log, segmentation, est, q, settings)
+        run, track = _assemble(paths, recordings, log, effective, segmentation, est, q, place, vehicle, warnings)
         progress("writing", 0.7)
         return _write(folder, run, track, settings, progress)
 
 
 def _assemble(
     paths: Sequence[Path], recordings: tuple[Recording, ...], log: Log, effective: Effective,
-    segmentation: Segmentation, est: Estimate, q: Array, place: Position | None, seat: Mounting | None,
+    segmentation: Segmentation, est: Estimate, q: Array, place: Position | None, vehicle: Vehicle,
     warnings: Sequence[Warn],
 ) -> tuple[Run, tables.Track]:  # fmt: skip
     """Bring everything into body axes, judge it, and prepare the track."""
     settings = effective.settings
-    q_bv, body = body_axes(seat, settings)
     backward = backward_estimate(est.forward, est.smoothed.information)
     passes = {
         "forward": assess.Pass(est.forward.q, est.forward.bias, est.forward.chain.P),
@@ -82,13 +81,15 @@ def _assemble(
     relative = est.forward.heading == "relative"
     rows = assess.segment_table(log, segmentation, t, passes, place, est.noise, threshold, relative)
     advice = assess.stop_advice(est.forward, est.smoothed, segmentation, est.noise, threshold)
-    turned = {name: p.turned(q_bv) for name, p in passes.items()}
+    turned = {name: p.turned(vehicle.q_bv, vehicle.sigma) for name, p in passes.items()}
     told = (*log.warnings, *segmentation.warnings, *est.warnings, *warnings)
     run = Run(
         tuple(paths), recordings, log, effective, est.world, est.noise, segmentation, est.forward, est.smoothed, turned,
-        place, seat, body, rows, advice, told, settings.smoothing.smoother,
+        assess.separation(passes["forward"], passes["backward"]), place, vehicle.told, rows, advice, told,
+        settings.smoothing.smoother,
     )  # fmt: skip
-    return run, tables.Track(log, q, est.smoothed, place, segmentation, q_bv, settings.world.frame)
+    track = tables.Track(log, q, est.smoothed, place, segmentation, vehicle.q_bv, vehicle.sigma, settings.world.frame)
+    return run, track
 
 
 def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, progress: Progress) -> dict[str, Any]:
@@ -99,7 +100,7 @@ def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, prog
         write_track(track, metadata, folder / f"track.{name}", name)
     t = run.forward.t
     relative = run.forward.heading == "relative"
-    nodes = tables.pass_columns(run.log, t, run.passes, run.position, run.segmentation, relative)
+    nodes = tables.pass_columns(run.log, t, run.passes, run.separation, run.position, run.segmentation, relative)
     write_table(nodes, folder / "passes.parquet", metadata)
     write_table(
         tables.innovation_columns(run.forward.innovations, t, run.segmentation),

@@ -16,11 +16,15 @@ import numpy as np
 from .maths import rotation
 from .maths.kalman import symmetric
 from .nodes import Nodes
-from .records import Array, Fixes, Imu, Segment, Segmentation, Smoothed
+from .records import Array, Bools, Fixes, Imu, Segment, Segmentation, Smoothed
 from .settings import Settings
 
 ODOMETRY_CORRELATION_S = 1.0  # wheel slip lasts about this long
 STILL_M_S = 2e-3  # how still a stop is
+ACCEL_WALK = 1e-4  # m/s^2/sqrt(s): how an accelerometer's bias walks
+LONGEST_SILENCE_S = 1.0  # odometry is bridged over this
+LEAST_SPEED_M_S = 0.1
+NO_GAPS = np.zeros((0, 2))
 UNUSABLE_SHARE = 0.1  # of the distance: a position worse than this is not worth its name
 
 
@@ -61,39 +65,83 @@ def markov(smoothed: Smoothed) -> Markov:
 
 
 def odometry_position(
-    imu: Imu, q: Array, q_bv: Array, smoothed: Smoothed, segmentation: Segmentation, odometry: Fixes, settings: Settings
-) -> Position:
+    imu: Imu, q: Array, q_bv: Array, smoothed: Smoothed, segmentation: Segmentation, odometry: Fixes,
+    settings: Settings, gaps: Array = NO_GAPS,
+) -> Position:  # fmt: skip
     r"""Dead reckoning: :math:`\dot p_n=R_{nb}R_{bv}v_v`.
 
     Error: :math:`\dot{\delta p}=-[v_n\times]\delta\theta_n+v_n\,\delta s+n`; ``delta s`` one scale error for the log,
     ``n`` slip with a correlation time of a second. Sideways and vertical speed count as zero where the log does not
-    give them.
+    give them. Where the odometry is silent or the IMU has a gap, the position stands still and its sigma grows by the
+    rms speed of the drive times the time.
 
     Parameters
     ----------
     q : (n, 4) attitude of the IMU at its samples
     q_bv : (4,) vehicle to IMU axes
+    gaps : (g, 2) holes of the IMU, s
     """
-    cfg = settings.odometry
+    cfg, t = settings.odometry, smoothed.t
+    silent = silences(odometry.t, imu.t)
+    blind = np.concatenate([gaps, silent])
     v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
     for s in segmentation.stops:
         v_v[(imu.t >= s.used_start) & (imu.t <= s.used_end)] = 0.0
     v_n = rotation.rotate(q, rotation.rotate(q_bv, v_v))
-    dt = np.diff(imu.t)
-    p = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v_n[1:] + v_n[:-1]) * dt[:, None], axis=0)])
-    chain, t = markov(smoothed), smoothed.t
-    at_nodes = np.stack([np.interp(t, imu.t, p[:, i]) for i in range(3)], axis=1)
-    step = np.diff(at_nodes, axis=0)
+    moved = 0.5 * (v_n[1:] + v_n[:-1]) * np.diff(imu.t)[:, None]
+    moved[_touched(imu.t, blind)] = 0.0
+    p = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)])
+    for start, end in silent:
+        v_n[(imu.t > start) & (imu.t < end)] = np.nan
+    step = np.diff(np.stack([np.interp(t, imu.t, p[:, i]) for i in range(3)], axis=1), axis=0)
     slip = 2.0 * ODOMETRY_CORRELATION_S * np.array([cfg.sigma_m_s, cfg.lateral_sigma_m_s, cfg.lateral_sigma_m_s]) ** 2
     R_nodes = rotation.matrix(rotation.multiply(smoothed.q, q_bv))[:-1]
     moving = np.linalg.norm(step, axis=1) > 1e-9
     noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]
-    P = _odometry_covariance(chain, step, noise, cfg.scale_sigma)
+    noise += _blind_variance(t, blind, _rms_speed(v_v))[:, None, None] * np.eye(3)
+    P = _odometry_covariance(markov(smoothed), step, noise, cfg.scale_sigma)
     distance = {
         s.index: float(np.sum(np.linalg.norm(np.diff(p[s.first : s.last], axis=0), axis=1)))
         for s in segmentation.motions
     }
     return Position(p, v_n, P, {}, distance, _usable(P, distance), "odometry")
+
+
+def silences(t: Array, span: Array) -> Array:
+    """Return the spans (k, 2) in which a sensor that delivers at ``t`` says nothing within the time of ``span``."""
+    limit = max(LONGEST_SILENCE_S, 5.0 * float(np.median(np.diff(t)))) if len(t) > 1 else LONGEST_SILENCE_S
+    edges = np.concatenate([[span[0]], np.clip(t, span[0], span[-1]), [span[-1]]])
+    long = np.flatnonzero(np.diff(edges) > limit)
+    return np.stack([edges[long], edges[long + 1]], axis=1)
+
+
+def _rms_speed(v: Array) -> float:
+    """Return the rms speed while moving, at least ``LEAST_SPEED``: what a position may run away with unseen."""
+    speed = np.linalg.norm(v, axis=1)
+    return (
+        max(LEAST_SPEED_M_S, float(np.sqrt(np.mean(speed[speed > STILL_M_S] ** 2))))
+        if (speed > STILL_M_S).any()
+        else LEAST_SPEED_M_S
+    )
+
+
+def _touched(t: Array, spans: Array) -> Bools:
+    """Return which intervals between consecutive times overlap one of the spans."""
+    out = np.zeros(len(t) - 1, dtype=np.bool_)
+    for start, end in spans:
+        out[max(0, int(np.searchsorted(t, start, side="right")) - 1) : int(np.searchsorted(t, end, side="left"))] = True
+    return out
+
+
+def _blind_variance(t: Array, spans: Array, speed: float) -> Array:
+    """Return the variance (m,) that intervals of ``t`` (m + 1,) inside spans without any speed add: ``(speed
+    length)^2`` each.
+    """
+    out = np.zeros(len(t) - 1)
+    for start, end in spans:
+        inside = np.maximum(np.minimum(t[1:], end) - np.maximum(t[:-1], start), 0.0)
+        out += speed**2 * (end - start) * inside
+    return out
 
 
 def _odometry_covariance(chain: Markov, step: Array, noise: Array, scale_sigma: float) -> Array:
@@ -147,7 +195,9 @@ def inertial_position(
     chain = markov(smoothed)
     here, spread = np.zeros(3), np.zeros((3, 3))
     for stop, motion, following in _legs(segmentation, nodes):
-        rows, at = _inside(imu.t, stop.used_start, stop.used_end), _inside(t, stop.used_start, stop.used_end)
+        first = stop.used_start if np.isfinite(p[:, 0]).any() else stop.start
+        last = stop.used_end if motion is not None else stop.end
+        rows, at = _inside(imu.t, first, last), _inside(t, first, last)
         p[rows], v[rows], P[at] = here, 0.0, spread
         if motion is None:
             continue
@@ -239,6 +289,7 @@ def _leg_covariance(
     B[:, 6:9, :3], B[:, 9:12, :3] = half, 0.5 * tau[:, None, None] * half
     noise = B @ W @ B.swapaxes(1, 2)
     noise[:, 6:9, 6:9] += nodes.noise.accel_density**2 * tau[:, None, None] * np.eye(3)
+    noise[:, 12:, 12:] = ACCEL_WALK**2 * tau[:, None, None] * np.eye(3)
     for k in range(m - 1):
         now = A[k] @ S[k] @ A[k].T + noise[k]
         S[k + 1] = 0.5 * (now + now.T)

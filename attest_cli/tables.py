@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .assess import Pass, separation
+from .assess import Pass
 from .maths import rotation
 from .position import Position
 from .records import Array, Innovations, Log, Segmentation, Smoothed
@@ -41,8 +41,8 @@ class Track:
     """The track at full rate, made block by block: iterate over it (again and again) for blocks of columns.
 
     ``q`` (n, 4) attitude of the IMU at its samples; ``smoothed`` the nodes; ``q_bv`` (4,) body axes to the IMU's;
-    ``frame`` ``ned`` turns the world to NED and the body to FRD. Sigmas are interpolated linearly in variance: between
-    nodes 0.1 s apart they are smooth.
+    known to ``axes_sigma`` (3,) rad; ``frame`` ``ned`` turns the world to NED and the body to FRD. Sigmas are
+    interpolated linearly in variance: between nodes 0.1 s apart they are smooth.
     """
 
     log: Log
@@ -51,6 +51,7 @@ class Track:
     position: Position | None
     segmentation: Segmentation
     q_bv: Array
+    axes_sigma: Array
     frame: str
 
     def __iter__(self) -> Iterator[Columns]:
@@ -73,7 +74,9 @@ class Track:
     def _node_columns(self, R_body: Array, R_world: Array) -> Columns:
         """Return what is interpolated, at the nodes: bias and variances, in the track's axes."""
         s = self.smoothed
-        P_world = R_world @ world_variance(s.q, s.P) @ R_world.T
+        R_nv = rotation.matrix(rotation.multiply(s.q, self.q_bv))
+        P_axes = (R_nv * self.axes_sigma**2) @ R_nv.swapaxes(1, 2)
+        P_world = R_world @ (world_variance(s.q, s.P) + P_axes) @ R_world.T
         P_bias = R_body.T @ s.P[:, 3:, 3:] @ R_body
         out: Columns = vector("sigma_att_{}_deg", np.einsum("kii->ki", P_world) * np.degrees(1.0) ** 2)
         out |= vector("gyro_bias_{}_rad_s", s.bias @ R_body) | vector(
@@ -115,12 +118,13 @@ def _sigmas(name: str, variances: Columns, known: Array | None = None) -> Column
 
 
 def pass_columns(
-    log: Log, t: Array, passes: Mapping[str, Pass], position: Position | None, segmentation: Segmentation,
-    relative: bool,
+    log: Log, t: Array, passes: Mapping[str, Pass], separation: tuple[Array, Array], position: Position | None,
+    segmentation: Segmentation, relative: bool,
 ) -> Columns:  # fmt: skip
     """Return the columns of ``passes``: the three passes at the nodes with their covariances, separation, position.
 
-    ``relative``: heading counts from the start; the backward pass has none of its own.
+    ``separation``: forward minus backward (n, 3) and its sigma, rad, world axes; ``relative``: heading counts from the
+    start; the backward pass has none of its own.
     """
     segment, moving = segment_of(t, segmentation)
     columns: Columns = {
@@ -144,7 +148,7 @@ def pass_columns(
         columns[f"{name}_covariance"] = np.ascontiguousarray(p.P[:, rows, cols])
     sigma = np.degrees(np.sqrt(np.einsum("kii->ki", euler_covariance(passes["smoothed"]))))
     columns |= {f"smoothed_sigma_{part}_deg": sigma[:, i] for i, part in enumerate(("roll", "pitch", "yaw"))}
-    apart, predicted = separation(passes["forward"], passes["backward"])
+    apart, predicted = separation
     columns |= vector("separation_{}_deg", np.degrees(apart)) | vector("sigma_separation_{}_deg", np.degrees(predicted))
     if relative:
         for name in ("backward_yaw_deg", "backward_sigma_att_z_deg", "separation_z_deg", "sigma_separation_z_deg"):

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import AttestError
 from ..maths import rotation
+from ..maths.kalman import symmetric
 from ..nodes import Nodes
 from ..records import Array
 from ..sensors import Direction, Measurement
@@ -20,7 +21,10 @@ from ..sensors.orientation import Orientation
 PRIOR_FACTOR = 10.0  # prior sigma over the alignment's own: its measurements are used again by the filter
 LEAST_PRIOR = np.radians(2.0)
 MOST_PRIOR = np.radians(60.0)
-BIAS_DRIFT = 5e-4  # rad/s: how well stops know the bias when the start is carried back from the first one
+BIAS_DRIFT = 5e-4  # rad/s: how fast the start is lost where no stop knows the bias
+LEAST_BIAS_PRIOR = 1e-4  # rad/s
+SHORT_STOP_S = 3.0  # the stop that knows the bias lasts at least about this
+STANDING_S = 1.0  # a log that stands within its first second starts at a stop
 DATUM = 1e-4  # rad: heading that is zero by definition
 HEADING_SPAN_S = 20.0  # headings this long after the first one are averaged
 
@@ -67,18 +71,31 @@ def align(nodes: Nodes, bias_sigma: float, magnetic: bool) -> Start:
         turn, heading, sigma, when = _heading_offset(flat, dead, q0, magnetic)
         q0 = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q0)
         age = max(anchor.t, when) - nodes.t[0]
-    in_motion = not (len(nodes.frozen) and nodes.frozen[: max(1, len(nodes.frozen) // 100)].any())
-    carried = age if in_motion else 0.0
+    in_motion = bool(nodes.moving[nodes.t <= nodes.t[0] + STANDING_S].all())
     tilt0 = float(np.sqrt(level[0].noise[0, 0])) if level else sigma
-    prior = [float(np.clip(PRIOR_FACTOR * (s + BIAS_DRIFT * carried), LEAST_PRIOR, MOST_PRIOR)) for s in (tilt0, sigma)]
+    bias_prior, carried = _carried(nodes, age, bias_sigma) if in_motion else (bias_sigma, 0.0)
+    prior = [float(np.clip(PRIOR_FACTOR * np.hypot(s, carried), LEAST_PRIOR, MOST_PRIOR)) for s in (tilt0, sigma)]
     yaw = DATUM if heading == "relative" else prior[1]
     P = np.zeros((6, 6))
     R = rotation.matrix(q0)
-    P[:3, :3] = R.T @ np.diag([prior[0] ** 2, prior[0] ** 2, yaw**2]) @ R
-    P[3:, 3:] = bias_sigma**2 * np.eye(3)
-    return Start(
-        q0, nodes.increments.bias_ref[0] if len(nodes.increments.bias_ref) else np.zeros(3), P, heading, in_motion
-    )
+    P[:3, :3] = symmetric(R.T @ np.diag([prior[0] ** 2, prior[0] ** 2, yaw**2]) @ R)
+    P[3:, 3:] = bias_prior**2 * np.eye(3)
+    bias = nodes.increments.bias_ref[0] if len(nodes.increments.bias_ref) else np.zeros(3)
+    return Start(q0, bias, P, heading, in_motion)
+
+
+def _carried(nodes: Nodes, age: float, bias_sigma: float) -> tuple[float, float]:
+    """Return the prior of the bias and what the attitude lost on the way back over ``age`` s from the first stop.
+
+    A wide bias prior would open the attitude to tens of degrees before the first stop, where linearised heading updates
+    claim to know the tilt.
+    """
+    if nodes.moving.all():
+        return bias_sigma, BIAS_DRIFT * age
+    noise = nodes.noise
+    known = noise.gyro_density / np.sqrt(SHORT_STOP_S) + noise.gyro_walk * np.sqrt(age)
+    white = float(np.sqrt(nodes.density[nodes.t[1:] <= nodes.t[0] + age].mean() * age)) if age > 0.0 else 0.0
+    return min(bias_sigma, max(PRIOR_FACTOR * known, LEAST_BIAS_PRIOR)), float(np.hypot(known * age, white))
 
 
 def _level(up_b: Array) -> Array:

@@ -164,7 +164,7 @@ def rts(chain: Chain) -> Errors:
         d[k] = C[k] @ e
         P_k = chain.P[k] + C[k] @ (Pe - chain.P_pred[k + 1]) @ C[k].T
         P[k] = 0.5 * (P_k + P_k.T)
-    return Errors(d, P, _cross(C, J_inv, P))
+    return Errors(d, P, cross(chain, P))
 
 
 def information(chain: Chain) -> tuple[Array, Array]:
@@ -205,13 +205,14 @@ def _composed(chain: Chain, first: int, last: int) -> tuple[Array, Array]:
 
 
 def fuse(chain: Chain, Y: Array, y: Array) -> Errors:
-    """Fuse the forward posterior with the backward information: ``P_s = (I + P Y)^-1 P``, ``d = P_s y`` (paper eq 40,
-    exact).
+    """Fuse forward posterior and backward information (paper eq 40): ``P_s = (P^-1 + Y)^-1``, ``d = P_s y``.
+
+    With ``P = L L'``: ``P_s = L (I + L' Y L)^-1 L'``, symmetric and positive whatever the conditioning.
     """
-    s = chain.dx.shape[1]
-    P = symmetric(np.linalg.solve(np.eye(s) + chain.P @ Y, chain.P))
-    _, J_inv = chain.reset_jacobians()
-    return Errors(np.einsum("kij,kj->ki", P, y), P, _cross(gains(chain), J_inv, P))
+    L = np.linalg.cholesky(chain.P)
+    L_t = L.swapaxes(1, 2)
+    P = symmetric(L @ np.linalg.solve(np.eye(L.shape[1]) + symmetric(L_t @ Y @ L), L_t))
+    return Errors(np.einsum("kij,kj->ki", P, y), P, cross(chain, P))
 
 
 def gains(chain: Chain) -> Array:
@@ -220,6 +221,10 @@ def gains(chain: Chain) -> Array:
     return np.asarray(np.linalg.solve(chain.P_pred[1:], PhiP).swapaxes(1, 2))
 
 
-def _cross(C: Array, J_inv: Array, P: Array) -> Array:
-    """Cov(d_k, d_{k+1}) = C_k Cov(e, d)_{k+1} = C_k J^-1 P_{k+1}: the error left after node k + 1 is known."""
-    return np.asarray(C @ J_inv[1:] @ P[1:])
+def cross(chain: Chain, P: Array) -> Array:
+    """Return Cov(d_k, d_{k+1}) (n - 1, s, s) = ``C_k J^-1 P_{k+1}``: the error left after node k + 1 is known.
+
+    ``P`` (n, s, s): smoothed covariances, or the filter's own for the filter's own errors.
+    """
+    _, J_inv = chain.reset_jacobians()
+    return np.asarray(gains(chain) @ J_inv[1:] @ P[1:])

@@ -23,6 +23,7 @@ from .observations import Observation
 STOP_NODE_S = 1.0  # nodes of a stop: its attitude is frozen, only the bias walks
 FROZEN_DENSITY = 1e-7  # rad/sqrt(s): keeps the covariance of a frozen attitude regular
 SAME_TIME_S = 1e-6
+MERGED_S = 1e-4  # nodes nearer than this are one: an interval without noise has no inverse
 RATE_WINDOW_S = 1.0  # the rate that a scale error acts on is its mean over this
 GAP_MARGIN = 2.0  # a hole is as lively as the drive, twice over
 
@@ -124,9 +125,10 @@ def _grid(
     """Return node times: ends, edges of stops and gaps, epochs, and between them at most the spacing."""
     edges = [e for pair in (*stops, *gaps) for e in pair]
     must = np.unique(np.clip(np.concatenate([[t[0], t[-1]], edges, epochs]), t[0], t[-1]))
-    must = must[np.concatenate([[True], np.diff(must) > SAME_TIME_S])]
+    must = must[np.concatenate([[True], np.diff(must) > MERGED_S])]
     if len(must) == 1:
         return np.asarray(must)
+    must[-1] = t[-1]
     middle, width = 0.5 * (must[1:] + must[:-1]), np.diff(must)
     step = np.where(_inside(middle, frozen), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, spacing))
     parts = np.maximum(1, np.ceil(width / step - 1e-9)).astype(np.int64)

@@ -15,7 +15,6 @@ from .. import __version__
 from ..assess import Pass
 from ..filters import named
 from ..maths.consistency import upper_quantile
-from ..mounting import Mounting
 from ..nodes.noise import Noise
 from ..position import Position
 from ..records import Array, FilterRun, Innovations, Log, Recording, Segmentation, Smoothed, Warn, World
@@ -31,6 +30,9 @@ SENSOR_NAMES = {
 }
 BAND = 1e-4  # two-sided probability outside which a mean NIS is not chance
 MANY_REJECTED = 0.01
+MOST_REJECTED = 0.5
+FEW = 5  # measurements of a sensor that say little about its noise
+FAR_OFF = 4.0  # mean NIS over its degrees of freedom: sigma cannot be trusted
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +49,8 @@ class Run:
     forward: FilterRun
     smoothed: Smoothed
     passes: Mapping[str, Pass]
+    separation: tuple[Array, Array]
     position: Position | None
-    mounting: Mounting | None
     body: Mapping[str, Any]
     segments: Sequence[Mapping[str, Any]]
     advice: Mapping[str, Any]
@@ -87,7 +89,8 @@ def build(run: Run) -> dict[str, Any]:
 
 def _input(run: Run) -> dict[str, Any]:
     t, t0 = run.log.imu.t, run.log.t0_ns
-    used = set(run.forward.innovations.role.tolist())
+    found = run.forward.innovations
+    used = set(found.role[found.used].tolist())
     sensors = [name for role, name in SENSOR_NAMES.items() if role in used]
     if "gravity" in used and not run.segmentation.stops:
         sensors = [s.replace("accelerometer at stops", "accelerometer over long windows") for s in sensors]
@@ -229,8 +232,9 @@ def _innovations(found: Innovations) -> dict[str, Any]:
     return out
 
 
-def _check(name: str, good: bool, fact: str, detail: str) -> dict[str, Any]:
-    return {"name": name, "status": "PASS" if good else "WARN", "fact": fact, "detail": detail}
+def _check(name: str, good: bool, fact: str, detail: str, *, fatal: bool = False) -> dict[str, Any]:
+    """``fatal``: the sigma does not hold."""
+    return {"name": name, "status": "FAIL" if fatal else "PASS" if good else "WARN", "fact": fact, "detail": detail}
 
 
 def _checks(run: Run) -> list[dict[str, Any]]:
@@ -264,48 +268,46 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
         if s["rejected"]:
             share = s["rejected"] / s["count"]
             fact = f"{s['rejected']} of {s['count']} {name} measurements rejected"
-            lines.append(_check(f"rejected-{role}", share <= MANY_REJECTED, fact, "see the innovations"))
-        if s["used"] < 5:
+            most = share > MOST_REJECTED and s["count"] >= FEW
+            detail = "they contradict the rest of the log: its sigma does not hold" if most else "see the innovations"
+            lines.append(_check(f"rejected-{role}", share <= MANY_REJECTED, fact, detail, fatal=most))
+        if s["used"] < FEW:
             continue
-        total = s["used"] * s["dof"]
+        total, mean = s["used"] * s["dof"], s["mean_nis"]
         low, high = (upper_quantile(total, p) / s["used"] for p in (1 - BAND / 2, BAND / 2))
-        mean = s["mean_nis"]
-        good = mean <= high
-        word = (
-            "fit their noise"
-            if low <= mean <= high
-            else "are better than their noise"
-            if good
-            else "are worse than their noise"
+        fit = "are better than" if mean < low else "are worse than" if mean > high else "fit"
+        fact, detail = (
+            f"{name.capitalize()} innovations {fit} their noise",
+            f"mean NIS {mean:.2g} for {s['dof']} degrees of freedom",
         )
-        lines.append(_check(f"innovations-{role}", bool(good), f"{name.capitalize()} innovations {word}",
-                            f"mean NIS {mean:.2g} for {s['dof']} degrees of freedom"))  # fmt: skip
+        lines.append(_check(f"innovations-{role}", mean <= high, fact, detail, fatal=mean > FAR_OFF * s["dof"]))
     return lines
 
 
 def _position_check(run: Run) -> dict[str, Any] | None:
     s = _position_numbers(run.position)
-    if run.position is None or "position_sigma_max_m" not in s or s["position_usable"]:
+    if run.position is None or not run.segmentation.motions or "position_sigma_max_m" not in s or s["position_usable"]:
         return None
-    return _check("position", False, "Position is not usable: no sensor aids it",
-                  f"its sigma reaches {s['position_sigma_max_m']:.0f} m; odometry or GPS would hold it")  # fmt: skip
+    reach = f"its sigma reaches {s['position_sigma_max_m']:.0f} m"
+    if run.position.method == "odometry":
+        return _check("position", False, "Position is not usable", f"{reach}, more than 10 % of the distance")
+    return _check("position", False, "Position is not usable: no sensor aids it", f"{reach}; odometry would hold it")
 
 
 def _advice_check(run: Run) -> dict[str, Any] | None:
-    lines, threshold = run.advice["lines"], run.advice["threshold_deg"]
-    if not run.segmentation.stops:
+    lines, threshold, share = run.advice["lines"], run.advice["threshold_deg"], run.advice["share_over"]
+    if not run.segmentation.stops or not run.segmentation.motions:
         return None
-    if not lines:
+    if share <= 0.0:
         longest = run.advice["longest_s"]
         detail = f"the smoothed middle of a drive of {longest / 60:.0f} min would still be below it" if longest else ""
         return _check("stop-advice", True, f"Stops were often enough for {threshold:g}°", detail)
-    fact = f"Forward sigma passes {threshold:g}° in {len(lines)} of {len(run.segmentation.motions)} motions"
-    return _check(
-        "stop-advice",
-        bool(run.advice["smoothed_below"]),
-        fact,
-        "smoothing stays below it" if run.advice["smoothed_below"] else lines[0],
+    below = bool(run.advice["smoothed_below"])
+    fact = f"Forward sigma passes {threshold:g}° for {100 * share:.0f} % of the drive"
+    detail = (
+        "smoothing stays below it" if below else lines[0] if lines else f"{run.advice['axis']} needs a better sensor"
     )
+    return _check("stop-advice", below, fact, detail)
 
 
 def _data_check(run: Run) -> dict[str, Any] | None:
@@ -318,10 +320,9 @@ def _data_check(run: Run) -> dict[str, Any] | None:
 
 
 def _verdict(run: Run, checks: Sequence[Mapping[str, Any]]) -> str:
-    """FAIL where most of a sensor was rejected or a mean NIS is four times too large: then sigma cannot be trusted."""
-    for s in _innovations(run.forward.innovations).values():
-        if s["rejected"] > 0.5 * s["count"] or (s["used"] >= 5 and s["mean_nis"] > 4.0 * s["dof"]):
-            return "FAIL"
+    """FAIL where a check is fatal or the gate is passed, WARN where one is not clean."""
+    if any(c["status"] == "FAIL" for c in checks):
+        return "FAIL"
     limit = run.effective.settings.gate.max_sigma_attitude_deg
     if limit is not None and np.degrees(np.nanmax(run.passes["smoothed"].sigma_n())) > limit:
         return "FAIL"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..maths.rotation import skew
+from ..maths.rotation import cross, skew
 from ..records import Array
 
 
@@ -14,9 +14,9 @@ def tangent_basis(v: Array) -> Array:
     """Return two unit vectors (m, 2, 3) orthogonal to each unit vector ``v`` (m, 3) and to each other."""
     helper = np.zeros_like(v)
     helper[np.arange(len(v)), np.argmin(np.abs(v), axis=1)] = 1.0
-    first = np.cross(v, helper)
+    first = cross(v, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(v, first)], axis=1)
+    return np.stack([first, cross(v, first)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)

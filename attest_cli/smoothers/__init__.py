@@ -29,9 +29,8 @@ def rts(run: FilterRun) -> Smoothed:
 
 def none(run: FilterRun) -> Smoothed:
     """The forward pass itself."""
-    n, s = run.chain.dx.shape
-    cross = run.chain.P[:-1] @ run.chain.Phi.swapaxes(1, 2)
-    return apply(run, kalman.Errors(np.zeros((n, s)), run.chain.P, cross))
+    P = run.chain.P
+    return apply(run, kalman.Errors(np.zeros_like(run.chain.dx), P, kalman.cross(run.chain, P)))
 
 
 SMOOTHERS: dict[str, Callable[[FilterRun], Smoothed]] = {

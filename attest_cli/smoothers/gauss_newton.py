@@ -12,6 +12,7 @@ from ..maths.consistency import upper_quantile
 from ..nodes import Nodes
 from ..records import Array, Innovations, Smoothed
 
+UNGATED = 3  # passes that use every measurement, where the log starts in motion
 CONVERGED = 1e-3  # of a sigma: the largest change of any state in the last pass
 
 Kept = set[tuple[int, str]]  # (node, role) of the measurements in use
@@ -44,14 +45,15 @@ def refine(
     """
     q, bias, P, cross = smoothed.q, smoothed.bias, smoothed.P, smoothed.cross
     made = 0
-    kept = None if innovations is None else _kept(innovations)
+    free = UNGATED if start.in_motion else 0  # a wrong start must not refuse the measurements that would right it
+    kept = None if innovations is None or free else _kept(innovations)
     while made < passes:
         made += 1
         diagonal, upper, right = _normal_equations(nodes, start, q, bias, kept)
         d, P, cross = block_tridiagonal.solve(diagonal, upper, right)
         q = rotation.normalise(rotation.multiply(q, rotation.exp_quaternion(d[:, :3])))
         bias = bias + d[:, 3:]
-        again = None if kept is None else _gated(nodes, q, bias, P, gate)
+        again = None if innovations is None or made < free else _gated(nodes, q, bias, P, gate)
         settled = float(np.max(np.abs(d) / np.sqrt(np.einsum("kii->ki", P)))) < CONVERGED and again == kept
         kept = again
         if settled and not fixed:

@@ -32,7 +32,7 @@ def errors(run: FilterRun) -> kalman.Errors:
             P_b = kalman.symmetric(back @ (P_b + chain.Q[k]) @ back.T)
             if k <= last:
                 d[k], P[k] = _fuse(run, k, q_b, bias_b, P_b)
-    return kalman.Errors(d, P, kalman.gains(chain) @ P[1:])
+    return kalman.Errors(d, P, kalman.cross(chain, P))
 
 
 def _motions(moving: Bools) -> list[tuple[int, int, int]]:

@@ -48,13 +48,16 @@ def passes(run: FilterRun, smoothed: Smoothed) -> dict[str, Pass]:
 
 def test_a_pass_turned_is_the_same_pass_in_other_axes(run: FilterRun) -> None:
     p, q_bv = Pass(run.q, run.bias, run.chain.P), rotation.exp_quaternion(np.array([0.3, -0.7, 2.0]))
-    turned = p.turned(q_bv)
+    sure = np.zeros(3)
+    turned = p.turned(q_bv, sure)
     assert np.allclose(turned.sigma_n(), p.sigma_n(), rtol=1e-9)
     R = rotation.matrix(q_bv)
     assert np.allclose(rotation.matrix(turned.q), rotation.matrix(p.q) @ R, atol=1e-12)
     assert np.allclose(turned.bias @ R.T, p.bias, atol=1e-15)
-    back = turned.turned(rotation.conjugate(q_bv))
+    back = turned.turned(rotation.conjugate(q_bv), sure)
     assert np.allclose(back.P, p.P, rtol=1e-9, atol=1e-18)
+    known = p.turned(q_bv, np.array([0.1, 0.2, 0.3]))
+    assert np.allclose((known.P - turned.P)[:, :3, :3], np.diag([0.01, 0.04, 0.09]))
 
 
 def test_separation_is_forward_minus_backward_about_world_axes(rng: np.random.Generator) -> None:

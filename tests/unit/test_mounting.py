@@ -53,6 +53,11 @@ def seated(work: Job, R_vb: Array, late_s: float = 0.0, speed: float = 1.0) -> M
     )
 
 
+def forward_sigma_deg(found: Mounting) -> float:
+    """Sigma of the forward axis, the larger of its two directions."""
+    return float(np.degrees(found.sigma[1:].max()))
+
+
 def forward_error_deg(found: Mounting, R_vb: Array) -> float:
     """Angle between the forward axis found and the true one, both in the IMU's axes."""
     true_b = R_vb.T[:, 0]
@@ -65,9 +70,10 @@ def test_forward_axis_is_found_within_four_sigma(work: Job, name: str) -> None:
     found = seated(work, R_vb)
     assert found is not None
     error = forward_error_deg(found, R_vb)
-    print(f"{name}: forward axis {error:.2f} deg off, sigma {found.sigma_deg:.2f} deg, lag {found.lag:+.2f} s")
-    assert error < 4.0 * found.sigma_deg
-    assert found.sigma_deg < 5.0
+    print(f"{name}: forward axis {error:.2f} deg off, sigma {forward_sigma_deg(found):.2f} deg, lag {found.lag:+.2f} s")
+    assert error < 4.0 * forward_sigma_deg(found)
+    assert found.certain
+    assert not found.contradicted
     assert found.lag == 0.0
     R = rotation.matrix(found.q_bv)
     assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
@@ -84,8 +90,8 @@ def test_the_seat_does_not_depend_on_the_imus_axes(work: Job) -> None:
     assert turned is not None
     again = rotation.multiply(rotation.from_matrix(R_vb), turned.q_bv)
     assert np.abs(rotation.log_quaternion(rotation.multiply(rotation.conjugate(straight.q_bv), again))).max() < 1e-6
-    assert axes_agree(straight.q_bv)
-    assert not axes_agree(turned.q_bv)
+    assert axes_agree(straight)
+    assert not axes_agree(turned)
 
 
 @pytest.mark.parametrize("encoder", [True, False], ids=["good encoder", "3 cm/s"])
@@ -95,9 +101,9 @@ def test_four_sigma_holds_over_drives(encoder: bool) -> None:
         options = RoverOptions(seed=seed, motions=4, motion_s=(60.0, 90.0), odometry=True)
         found = seated(with_encoder(options) if encoder else simulated(options), np.eye(3))
         if found is not None:
-            ratios.append(forward_error_deg(found, np.eye(3)) / found.sigma_deg)
+            ratios.append(forward_error_deg(found, np.eye(3)) / forward_sigma_deg(found))
     print("forward axis, sigma:", np.round(ratios, 1))
-    assert len(ratios) >= (6 if encoder else 2)
+    assert len(ratios) == (6 if encoder else 4)
     assert max(ratios) < 4.0
 
 
@@ -110,7 +116,6 @@ def test_late_odometry_is_noticed(work: Job, late_s: float) -> None:
 
 def test_a_seat_that_the_drive_does_not_show_is_not_invented(work: Job) -> None:
     assert seated(work, np.eye(3), speed=0.0) is None  # wheels that never turned
-    assert seated(work, np.eye(3), speed=10.0) is None  # km/h taken for something else
     no_stops = replace(work.segmentation, segments=work.segmentation.motions)
     fixes, imu = work.log.fixes["odometry"], work.log.imu
     q = work.truth(imu.t).q_nb
@@ -119,7 +124,30 @@ def test_a_seat_that_the_drive_does_not_show_is_not_invented(work: Job) -> None:
     assert find_mounting(imu, q, short, fixes, GRAVITY) is None
 
 
-def test_axes_agree_within_ten_degrees() -> None:
-    assert axes_agree(rotation.exp_quaternion(np.radians([0.0, 9.9, 0.0])))
-    assert not axes_agree(rotation.exp_quaternion(np.radians([0.0, 0.0, 10.1])))
-    assert axes_agree(-np.array([1.0, 0.0, 0.0, 0.0]))
+@pytest.mark.parametrize("factor", [3.6, 0.5])
+def test_a_wrong_wheel_speed_is_contradicted(work: Job, factor: float) -> None:
+    found = seated(work, np.eye(3), speed=factor)
+    assert found is not None
+    assert found.scale == pytest.approx(1.0 / factor, rel=0.15)
+    assert found.contradicted
+
+
+def test_no_false_lag_with_noisy_wheels() -> None:
+    for seed in range(90, 94):
+        options = RoverOptions(seed=seed, motions=6, motion_s=(60.0, 90.0), odometry=True)
+        found = seated(simulated(options), np.eye(3))
+        assert found is not None
+        print(f"seed {seed}: lag {found.lag:+.2f} s, scale {found.scale:.3f} +- {found.scale_sigma:.3f}")
+        assert found.lag == 0.0
+        assert found.scale == pytest.approx(1.0, abs=0.2)
+
+
+def test_axes_agree_within_three_degrees_or_three_sigma() -> None:
+    def turned(deg: tuple[float, float, float], sigma_deg: float) -> Mounting:
+        q = rotation.exp_quaternion(np.radians(deg))
+        return Mounting(q, np.full(3, np.radians(sigma_deg)), 1.0, 0.01, 0.0, "")
+
+    assert axes_agree(turned((0.0, 2.9, 0.0), 0.1))
+    assert not axes_agree(turned((0.0, 0.0, 3.1), 0.1))
+    assert axes_agree(turned((0.0, 0.0, 8.9), 3.0))
+    assert not axes_agree(turned((0.0, 0.0, 9.1), 3.0))

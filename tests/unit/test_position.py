@@ -203,8 +203,8 @@ def test_a_log_that_starts_in_motion_has_no_inertial_position_before_its_first_s
     segmentation = replace(short.work.segmentation, segments=short.work.segmentation.segments[1:])
     found = replace(short, work=replace(short.work, segmentation=segmentation)).inertial()
     first = segmentation.stops[0]
-    assert np.isnan(found.p[short.t < first.used_start - 0.1]).all()
-    after = (short.t > first.used_start + 0.1) & (short.t < segmentation.stops[-1].used_end - 0.1)
+    assert np.isnan(found.p[short.t < first.start - 0.1]).all()
+    after = (short.t > first.start + 0.1) & (short.t < segmentation.stops[-1].used_end - 0.1)
     assert np.isfinite(found.p[after]).all()
 
 

@@ -48,14 +48,7 @@ def test_contract_of_every_smoother(run: FilterRun, work: Job, name: str) -> Non
         assert better < 0.5 * score(work, run.t, run.q, run.bias, run.chain.P).attitude
 
 
-NONE_CROSS = (
-    "the lag-one covariance of `none` is that before the update of the next node: not a covariance with P after it"
-)
-
-
-@pytest.mark.parametrize(
-    "name", ["two-filter", "rts", pytest.param("none", marks=pytest.mark.xfail(reason=NONE_CROSS))]
-)
+@pytest.mark.parametrize("name", ["two-filter", "rts", "none"])
 def test_two_neighbours_have_a_covariance(run: FilterRun, name: str) -> None:
     """``[[P_k, cross], [cross', P_k+1]]`` is positive semidefinite; the position sigma rests on it."""
     found = SMOOTHERS[name](run)

@@ -1,0 +1,164 @@
+"""From the smoothed attitude to the vehicle: how the IMU sits in it, whether its wheels tell the truth, where it
+went.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from . import mounting, position
+from .errors import AttestError
+from .estimate import Estimate
+from .maths import rotation
+from .mounting import Mounting
+from .position import Position
+from .records import Array, Fixes, Log, Segmentation, Warn
+from .settings import Settings
+from .smoothers import SMOOTHERS
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
+ASKEW_DEG = 15.0  # wheels that drive this far from the stated forward axis contradict it
+DEAD_M_S = 1e-3
+HANGING = -0.7  # up along the IMU's z axis below which it points down
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """Axes of the track: ``q_bv`` (4,) to the IMU's, their ``sigma`` (3,) about themselves, rad, and how the report
+    tells it.
+    """
+
+    q_bv: Array
+    sigma: Array
+    told: dict[str, Any]
+
+
+def locate(
+    log: Log, segmentation: Segmentation, est: Estimate, q: Array, settings: Settings
+) -> tuple[Position | None, Vehicle, list[Warn]]:
+    """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position.
+
+    Parameters
+    ----------
+    q : (n, 4) smoothed attitude of the IMU at its samples
+    """
+    mode, odometry = settings.smoothing.position, log.fixes.get("odometry")
+    if mode == "odometry" and odometry is None:
+        raise AttestError(f"{log.sources[0].name}: no odometry for the position", "use --position auto")
+    told = _hanging(log, segmentation)
+    seat, wheels = None, None
+    if odometry is not None:
+        seat = mounting.find_mounting(log.imu, q, segmentation, odometry, est.world.gravity)
+        wheels, doubts = _trusted(log, segmentation, odometry, seat, settings)
+        told += doubts
+    vehicle = _vehicle(seat if wheels is not None else None, settings)
+    errors = est.smoothed
+    if (
+        settings.smoothing.smoother == "paper"
+    ):  # its covariance counts the past twice; the exact one is no larger a claim
+        errors = SMOOTHERS["two-filter"](est.forward)
+    if wheels is not None and mode in {"auto", "odometry"}:
+        q_bv = seat.q_bv if seat is not None and settings.imu.mounting == "auto" and seat.certain else IDENTITY
+        found = position.odometry_position(log.imu, q, q_bv, errors, segmentation, wheels, settings, log.gaps)
+        return found, vehicle, told
+    if mode == "none" or not segmentation.stops:
+        return None, vehicle, told
+    literal = mode == "literal"
+    found = position.inertial_position(
+        log.imu, q, est.nodes, errors, segmentation, settings, est.world.gravity, literal
+    )
+    return found, vehicle, told
+
+
+def _trusted(
+    log: Log, segmentation: Segmentation, odometry: Fixes, seat: Mounting | None, settings: Settings
+) -> tuple[Fixes | None, list[Warn]]:
+    """Return the odometry on the IMU's time if it may be used, and what speaks against it or was mended."""
+    forced = settings.smoothing.position == "odometry"
+    told: list[Warn] = []
+    doubt = _contradiction(segmentation, odometry, seat, given=settings.imu.mounting != "auto")
+    if doubt:
+        hint = (
+            "check its unit, sign and channel"
+            if forced
+            else "check its unit, sign and channel; --position odometry uses it"
+        )
+        told.append(Warn("odometry-contradicts", doubt, hint))
+    elif settings.imu.mounting == "auto" and (seat is None or not seat.certain) and not _upright(segmentation, log):
+        doubt = "odometry not used: the drive does not show how the IMU sits in the vehicle"
+        told.append(Warn("odometry-not-used", doubt, "give [imu] mounting"))
+    if doubt and not forced:
+        return None, told
+    silent = position.silences(odometry.t, log.imu.t)
+    if len(silent):
+        longest = float(np.diff(silent, axis=1).max())
+        total = float(np.diff(silent, axis=1).sum())
+        told.append(
+            Warn("odometry-silent", f"odometry is silent for {total:.0f} s, {longest:.0f} s at a time",
+                 "the position stands still there and its sigma grows")
+        )  # fmt: skip
+    lag = seat.lag if seat is not None else 0.0
+    if lag:
+        word = "late" if lag > 0 else "early"
+        told.append(Warn("odometry-late", f"odometry is {abs(lag):.2f} s {word} against the IMU: corrected"))
+    return replace(odometry, t=odometry.t - lag), told
+
+
+def _contradiction(segmentation: Segmentation, odometry: Fixes, seat: Mounting | None, *, given: bool) -> str:
+    """Say how wheels and accelerometer contradict each other; empty if they do not."""
+    moving = np.zeros(len(odometry.t), dtype=np.bool_)
+    for s in segmentation.motions:
+        moving |= (odometry.t >= s.start) & (odometry.t <= s.end)
+    speed = np.nan_to_num(odometry.values[moving])
+    if moving.sum() >= mounting.LEAST_BLOCKS and float(np.abs(speed).max(initial=0.0)) < DEAD_M_S:
+        return "odometry reads zero while the IMU moves"
+    if seat is None or not seat.certain:
+        return ""
+    if seat.contradicted:
+        return f"odometry is {1.0 / seat.scale:.2g} times the speed that the accelerometer shows"
+    off = np.degrees(np.arccos(np.clip(rotation.matrix(seat.q_bv)[0, 0], -1.0, 1.0)))
+    if given and off > max(ASKEW_DEG, 4.0 * np.degrees(float(seat.sigma[1:].max()))):
+        return f"odometry drives {off:.0f} deg from the forward axis of the stated mounting"
+    return ""
+
+
+def _vehicle(seat: Mounting | None, settings: Settings) -> Vehicle:
+    """Choose the axes of the track."""
+    given, sure = settings.imu.mounting, np.zeros(3)
+    if given != "auto":
+        told = {"axes": "vehicle", "q_body_sensor": list(given), "how": "mounting of the settings"}
+        return Vehicle(IDENTITY, sure, told)
+    usable = seat is not None and seat.certain
+    if settings.body.axes == "vehicle" and not usable:
+        raise AttestError("the drive does not show the vehicle's axes", "give [imu] mounting, or use --body imu")
+    if settings.body.axes == "imu" or seat is None or not usable:
+        return Vehicle(IDENTITY, sure, {"axes": "imu", "q_body_sensor": IDENTITY.tolist(), "how": "axes of the IMU"})
+    if settings.body.axes == "auto" and mounting.axes_agree(seat):
+        told = {"axes": "imu", "q_body_sensor": IDENTITY.tolist(), "how": f"IMU and vehicle agree; {seat.how}"}
+        return Vehicle(IDENTITY, sure, told)
+    told = {"axes": "vehicle", "q_body_sensor": rotation.conjugate(seat.q_bv).tolist(), "how": seat.how}
+    return Vehicle(seat.q_bv, seat.sigma, told)
+
+
+def _up(segmentation: Segmentation, log: Log) -> Array:
+    up = np.mean([log.imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
+    return np.asarray(up / np.linalg.norm(up))
+
+
+def _upright(segmentation: Segmentation, log: Log) -> bool:
+    """Return whether gravity at the stops lies along the IMU's z axis: then its x axis is taken as forward."""
+    return bool(segmentation.stops) and bool(_up(segmentation, log)[2] > np.cos(np.radians(UPRIGHT_DEG)))
+
+
+def _hanging(log: Log, segmentation: Segmentation) -> list[Warn]:
+    """Say where the IMU's z axis points down: its track stands on its head, which a reader may not expect."""
+    if not segmentation.stops or _up(segmentation, log)[2] > HANGING:
+        return []
+    return [
+        Warn("imu-upside-down", "the IMU's z axis points down: it hangs upside down, or is a z-down (NED) sensor",
+             "[imu] mounting turns the track; a reversed accelerometer shows in the separation of the passes")
+    ]  # fmt: skip
