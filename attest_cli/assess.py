@@ -15,6 +15,7 @@ from .position import Position
 from .records import Array, Bools, FilterRun, Log, Segment, Segmentation, Smoothed
 from .track import world_variance
 
+VAGUE_RAD = np.radians(10.0)  # passes less sure than this of their difference cannot be compared
 LONGEST_S = 86400.0  # the advice looks this far ahead
 
 
@@ -52,7 +53,9 @@ def separation(forward: Pass, backward: Pass) -> tuple[Array, Array]:
 def segment_checks(
     t: Array, forward: Pass, backward: Pass, segmentation: Segmentation
 ) -> dict[int, tuple[float, Array]]:
-    """Return, per motion, the time where both passes are equally sure and the separation there in sigmas (3,)."""
+    """Return, per motion, the time where both passes are equally sure and the separation there in sigmas (3,), NaN where
+    they are too vague to be compared.
+    """
     apart, sigma = separation(forward, backward)
     f, b = (np.sum(p.sigma_n() ** 2, axis=1) for p in (forward, backward))
     found = {}
@@ -60,7 +63,8 @@ def segment_checks(
         rows = np.flatnonzero((t >= s.start) & (t <= s.end) & np.isfinite(b))
         if len(rows):
             k = rows[np.argmin(np.abs(np.log(f[rows] / b[rows])))]
-            found[s.index] = (float(t[k]), apart[k] / sigma[k])
+            comparable = np.where(sigma[k] < VAGUE_RAD, apart[k] / sigma[k], np.nan)
+            found[s.index] = (float(t[k]), comparable)
     return found
 
 

@@ -121,14 +121,14 @@ class Drive:
 
     @cached_property
     def after_start(self) -> Bools:
-        """Nodes past the stop in which the forward pass converges: from the first motion on."""
-        first = self.motions[0].start if self.motions else self.limits[0]
+        """Nodes past the stop in which the forward pass converges: from the first motion on; none without motion."""
+        first = self.motions[0].start if self.motions else math.inf
         return np.asarray(self.t >= first) if self.stops else np.ones(self.t.size, dtype=np.bool_)
 
     @cached_property
     def before_end(self) -> Bools:
         """The same for the backward pass, from the end: up to the end of the last motion."""
-        last = self.motions[-1].end if self.motions else self.limits[1]
+        last = self.motions[-1].end if self.motions else -math.inf
         return np.asarray(self.t <= last) if self.stops else np.ones(self.t.size, dtype=np.bool_)
 
     def settled(self, which: str) -> Bools:
@@ -136,6 +136,11 @@ class Drive:
         if which == "smoothed":
             return np.ones(self.t.size, dtype=np.bool_)
         return self.after_start if which == "forward" else self.before_end
+
+    @property
+    def failed(self) -> bool:
+        """True where a check failed: no sigma of this result may be called known."""
+        return self.report.get("verdict") == "FAIL"
 
     @property
     def heading(self) -> str:

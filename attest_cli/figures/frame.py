@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from .. import __version__
 from ..records import Array
 from . import style, ticks
 from .drive import Drive
-from .page import Box, Kind, Limits, Page, Panel
+from .page import Align, Box, Kind, Limits, Page, Panel, middle
 from .words import clean, cut, duration, first_fit, short_duration, two_digits
 
 LEFT, RIGHT = 0.45, 7.70
@@ -42,6 +42,8 @@ def new_page(
     """
     room = RIGHT - LEFT - (0.27 if status else 0.0) - (0.6 if word else 0.0)
     title = first_fit(t for t in titles if t is titles[-1] or style.text_width(t, style.TITLE, bold=True) <= room)
+    while style.text_width(title, style.TITLE, bold=True) > room:
+        title = cut(title, len(title.rstrip("…")) - 1)
     page = Page(height, theme, title, f"{title}. {alt}" if alt else title)
     if status:
         mark(page, 0.55, 0.36, status, 9.0)
@@ -137,8 +139,34 @@ def row_name(page: Page, panel: Panel, name: str, *notes: str, x: float = 0.20, 
         page.text(x, at + 0.165 + 0.125 * k, note, size=style.NOTE, colour="mute")
 
 
-def beyond(panel: Panel, t: Array, lines: Mapping[str, Array], limit: float) -> None:
-    """One triangle per line (colour -> degrees) and side where it leaves the panel, with its largest value."""
+def struck(panel: Panel, t: Array, lines: Iterable[Array], box: Box) -> int:
+    """How many pieces of lines over time cross a box (left, top, right, bottom in inches)."""
+    left, top, right, bottom = box
+    low, high = panel.x_limits
+    ends = [low + (x - panel.left) * (high - low) / panel.width for x in (left, right)]
+    rows = slice(max(0, int(np.searchsorted(t, ends[0])) - 1), int(np.searchsorted(t, ends[1])) + 1)
+    count = 0
+    for values in lines:
+        y = panel.y(values[rows])
+        count += int(np.sum((np.fmin(y[:-1], y[1:]) <= bottom) & (np.fmax(y[:-1], y[1:]) >= top)))
+    return count
+
+
+def text_box(words: str, size: float, x: float, y: float, align: Align) -> Box:
+    """What a line of digits covers: left, top, right, bottom in inches, with a little air."""
+    width = style.text_width(words, size)
+    left = x - {"left": 0.0, "middle": 0.5, "right": 1.0}[align] * width
+    return left - 0.015, y - 2.0 * middle(size) - 0.02, left + width + 0.015, y + 0.02
+
+
+def beyond(
+    panel: Panel, t: Array, lines: Mapping[str, Array], limit: float, drawn: Sequence[Array] | None = None
+) -> None:
+    """One triangle per line (colour -> degrees) and side where it leaves the panel, with its largest value.
+
+    The value stands where it strikes the fewest lines of ``drawn`` (``lines`` where not given) and no other value.
+    """
+    taken: list[Box] = []
     for side in (1.0, -1.0):
         found = []
         for colour, values in lines.items():
@@ -147,13 +175,34 @@ def beyond(panel: Panel, t: Array, lines: Mapping[str, Array], limit: float) -> 
                 found.append((float(panel.x(t[int(reach.argmax())])), colour, side * float(reach.max())))
         found.sort()
         edge = panel.top + 0.035 if side > 0 else panel.bottom - 0.035
-        for k, (x, colour, value) in enumerate(found):
-            crowded = k + 1 < len(found) and found[k + 1][0] - x < 0.5
-            left = x > panel.right - 0.4 or (crowded and x > panel.left + 0.4)
+        taken += [(x - 0.04, edge - 0.04, x + 0.04, edge + 0.04) for x, _, _ in found]
+        for x, colour, value in found:
             panel.page.marks([(x, edge)], "up" if side > 0 else "down", 4.5, fill=colour)
-            at = (x + (-0.055 if left else 0.055), edge + (0.04 if side > 0 else 0.02))
             words = f"{two_digits(value)}°"
-            panel.page.text(*at, words, size=style.NOTE, colour=colour, align="right" if left else "left", halo=True)
+            places = _beside(panel, words, x, edge + (0.04 if side > 0 else 0.02), side)
+            boxes = [text_box(words, style.NOTE, *place) for place in places]
+            lines_in = drawn if drawn is not None else list(lines.values())
+            strikes = [struck(panel, t, lines_in, box) + 1000 * sum(overlap(box, o) for o in taken) for box in boxes]
+            best = strikes.index(min(strikes))
+            taken.append(boxes[best])
+            at_x, at_y, align = places[best]
+            panel.page.text(at_x, at_y, words, size=style.NOTE, colour=colour, align=align, halo=True)
+
+
+def _beside(panel: Panel, words: str, x: float, y: float, side: float) -> list[tuple[float, float, Align]]:
+    """Places for a word right or left of a triangle at the edge, then further into the panel."""
+    width = style.text_width(words, style.NOTE) + 0.055
+    found: list[tuple[float, float, Align]] = []
+    for row in range(4):
+        down = y + side * 0.1 * row
+        found += [(x + 0.055, down, "left")] if x + width < panel.right else []
+        found += [(x - 0.055, down, "right")] if x - width > panel.left else []
+    return found
+
+
+def overlap(a: Box, b: Box) -> bool:
+    """True where two boxes (left, top, right, bottom) share a place."""
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def padded(low: float, high: float, share: float = 0.06) -> Limits:

@@ -14,6 +14,7 @@ from .page import Page, Panel
 from .words import short_duration, two_digits
 
 TO_DEG = 180.0 / math.pi
+STEADY, STEADY_DEG_S = 0.1, 1e-6  # a drift below this share of its sigma, or this rate, is none
 
 
 def draw(result: Result, theme: str = "light") -> Page | None:
@@ -46,6 +47,11 @@ def _titles(drive: Drive) -> list[str]:
     twice = 2.0 * float(np.median(known)) if known.size else math.nan
     if not math.isfinite(drift):
         return [f"Gyro bias over {span}"]
+    if drift < max(STEADY * twice / 2.0 if math.isfinite(twice) else 0.0, STEADY_DEG_S):
+        return [
+            f"Gyro bias is constant over {span}" + (f", 2σ {two_digits(twice)} °/s" if twice > 0.0 else ""),
+            "Gyro bias is constant",
+        ]
     if math.isfinite(twice) and drift <= twice:
         return [
             f"Gyro bias moves {two_digits(drift)} °/s in {span}, no more than its 2σ of {two_digits(twice)} °/s",
@@ -80,7 +86,7 @@ def limits(drive: Drive, axis: str) -> tuple[float, float]:
 
 def _row(page: Page, drive: Drive, k: int, axis: str) -> Panel:
     low, high = limits(drive, axis)
-    panel = time_panel(page, drive, (0.95, 1.12 + 1.37 * k, 6.05, 1.22), (low, high))
+    panel = time_panel(page, drive, (0.95, 1.12 + 1.34 * k, 6.05, 1.19), (low, high))
     smoothed = drive.column(f"smoothed_gyro_bias_{axis}_rad_s") * TO_DEG
     sigma = drive.column(f"smoothed_sigma_gyro_bias_{axis}_rad_s") * TO_DEG
     at = ticks.linear(low, high, 4)

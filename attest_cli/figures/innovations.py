@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,7 @@ LEAST = 5  # measurements of a sensor that make a page
 EDGE = 5.0  # the panel of innovations reaches this many sigma
 MOST_POINTS = 1500  # more measurements are drawn as a field
 LAGS = 25
+MOST_DEGREES = 4000  # from there on the interval of the mean is far narrower than the 25 % beside it
 NAMES = {"zero_rate": "zero rate", "sun": "sun sensor"}
 BRIEF = {"sun": "sun", "magnetometer": "magnetic", "orientation": "attitude"}
 
@@ -81,7 +83,7 @@ def draw(result: Result, theme: str = "light", sensor: str = "") -> Page | None:
         f"Innovations over measurement number, histogram of NIS and autocorrelation; {data.rejected} of "
         f"{data.nis.size} rejected.", status(data),
     )  # fmt: skip
-    _scatter(page, data)
+    _scatter(page, drive, data)
     _histogram(page, data)
     _autocorrelation(page, data)
     return page
@@ -92,11 +94,31 @@ def plain(name: str) -> str:
     return NAMES.get(name, clean(name.replace("_", " "), 30))
 
 
+def share_inside(data: Found) -> float:
+    """Share of the used measurements with a NIS inside the 95 % interval of chi-square; nan without any."""
+    nis = data.nis[data.used & np.isfinite(data.nis)]
+    low, high = (consistency.upper_quantile(data.dof, p) for p in (0.975, 0.025))
+    return float(np.mean((nis >= low) & (nis <= high))) if nis.size else math.nan
+
+
+def share_fits(data: Found) -> bool:
+    """False where that share is more than 5 points and more than 4 binomial standard deviations from 95 %."""
+    count = int((data.used & np.isfinite(data.nis)).sum())
+    allowed = max(0.05, 4.0 * math.sqrt(0.95 * 0.05 / max(count, 1)))
+    return bool(abs(share_inside(data) - 0.95) <= allowed)
+
+
+def mean_fits(data: Found) -> bool:
+    """False where the mean NIS lies more than 25 % outside its 99.99 % interval, or is not known."""
+    count = int((data.used & np.isfinite(data.nis)).sum())
+    degrees = max(1, min(count * data.dof, MOST_DEGREES))
+    low, high = (consistency.upper_quantile(degrees, p) * data.dof / degrees for p in (1.0 - 5e-5, 5e-5))
+    return bool(0.75 * low <= data.mean_nis <= 1.25 * high)
+
+
 def consistent(data: Found) -> bool:
-    """Mean NIS within 4 standard deviations of its expectation, or within a third of it."""
-    count = int(data.used.sum())
-    off = abs(data.mean_nis - data.dof)
-    return bool(off <= max(4.0 * math.sqrt(2.0 * data.dof / max(count, 1)), data.dof / 3.0))
+    """True where both the share inside 95 % and the mean NIS are as the claimed sigma gives them."""
+    return share_fits(data) and mean_fits(data)
 
 
 def status(data: Found) -> str:
@@ -117,12 +139,14 @@ def titles(data: Found) -> list[str]:
     degrees = f"{data.dof} degree" + ("s" if data.dof > 1 else "") + " of freedom"
     if data.rejected > 0.1 * data.nis.size:
         return [f"{head}: {gone} of {count} measurements rejected; mean NIS of the rest {mean} for {data.dof} dof"]
-    kind = (
-        "are consistent"
-        if consistent(data)
-        else f"are {'larger' if data.mean_nis > data.dof else 'smaller'} than claimed"
-    )
     tail = f", {gone} of {count} rejected" if data.rejected else ""
+    if not mean_fits(data):
+        kind = f"are {'larger' if data.mean_nis > data.dof else 'smaller'} than claimed"
+    elif not share_fits(data):
+        within = f"{percent(share_inside(data))} inside the 95 % interval"
+        return [f"{head} innovations: {within}, mean NIS {mean} for {data.dof} dof", f"{head} innovations: {within}"]
+    else:
+        kind = "are consistent"
     return [
         f"{head} innovations {kind}: mean NIS {mean} for {degrees}{tail}",
         f"{head} innovations {kind}: mean NIS {mean} for {data.dof} dof{tail}",
@@ -140,11 +164,11 @@ def looks(components: int) -> list[tuple[str, str, str]]:
     return [("x", "x", ""), ("y", "y", ""), ("z", "z", "")]
 
 
-def _scatter(page: Page, data: Found) -> None:
-    """Innovations over measurement number, alternate segments shaded, rejected at the edge."""
+def _scatter(page: Page, drive: Drive, data: Found) -> None:
+    """Innovations over measurement number, stops shaded, rejected at the edge."""
     count = data.nis.size
     panel = page.panel((0.95, 1.12, 6.75, 1.25), (-0.5, count - 0.5), (-EDGE, EDGE))
-    _segments(page, panel, data.segment)
+    _stops(page, panel, data.segment, {part.index for part in drive.stops})
     panel.polygon([-0.5, count - 0.5, count - 0.5, -0.5], [-2, -2, 2, 2], "band2")
     panel.across(0.0)
     panel.y_axis(([-4.0, -2.0, 0.0, 2.0, 4.0], ["−4", "−2", "0", "+2", "+4"]))
@@ -164,14 +188,19 @@ def _scatter(page: Page, data: Found) -> None:
     _key(page, panel, data, kinds, dense=count > MOST_POINTS)
 
 
-def _segments(page: Page, panel: Panel, segment: Ints) -> None:
-    """Alternate segments shaded with their number above; none where they are too many."""
+def _stops(page: Page, panel: Panel, segment: Ints, stops: set[int]) -> None:
+    """Stops shaded with their number above and a line between two that touch; none where they are too many."""
     starts = np.concatenate(([0], np.flatnonzero(np.diff(segment)) + 1)).astype(int)
     ends = np.append(starts[1:], segment.size)
-    if starts.size > 60:
+    runs = [(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True) if int(segment[a]) in stops]
+    if not runs or len(runs) > 60:
         return
-    panel.shade([(float(a) - 0.5, float(b) - 0.5) for a, b in zip(starts[::2], ends[::2], strict=True)])
-    wide = sorted(zip(starts.tolist(), ends.tolist(), strict=True), key=lambda s: s[0] - s[1])
+    panel.shade([(a - 0.5, b - 0.5) for a, b in runs])
+    for (_, before), (after, _) in pairwise(runs):
+        if before == after:
+            x = float(panel.x(after - 0.5))
+            page.line([(x, panel.top), (x, panel.bottom)], "paper", 1.2)
+    wide = sorted(runs, key=lambda s: s[0] - s[1])
     panel.above([(0.5 * (a + b) - 0.5, str(int(segment[a]))) for a, b in wide])
     page.text(panel.left - 0.08, panel.top - 0.07, "segment", size=style.NUMBER, colour="mute", align="right")
 
@@ -254,7 +283,7 @@ def _histogram(page: Page, data: Found) -> None:
     panel.polygon(edges, np.concatenate(([0.0], np.repeat(counts, 2), [0.0])), "band")
     if nis.size:
         panel.series(grid, expected, np.zeros(grid.size, dtype=np.bool_), "ink", 1.2)
-        _inside(panel, nis, low, high)
+        _inside(panel, share_inside(data), low, high)
     else:
         page.text(panel.left + 1.65, top + 0.95, "no measurement was used", colour="mute", align="middle")
     panel.y_axis(at)
@@ -262,16 +291,17 @@ def _histogram(page: Page, data: Found) -> None:
     page.text(0.2, top + 0.95, "count", size=style.NOTE, colour="mute")
 
 
-def _inside(panel: Panel, nis: Array, low: float, high: float) -> None:
-    """The 95 % interval and the share found in it."""
+def _inside(panel: Panel, share: float, low: float, high: float) -> None:
+    """The 95 % interval and the share found in it; a lower end on the axis has no name."""
     for value, words, align in ((low, "2.5 %", "left"), (high, "97.5 %", "middle")):
         x = float(panel.x(value))
+        if x - panel.left < 0.03:
+            continue
         panel.page.line([(x, panel.top + 0.12), (x, panel.bottom)], "mute", 0.6, (4.0, 2.0))
         panel.page.text(
             x + (0.03 if align == "left" else 0.0), panel.top + 0.09, words, size=style.NOTE, colour="mute",
             align="left" if align == "left" else "middle", halo=True,
         )  # fmt: skip
-    share = float(np.mean((nis >= low) & (nis <= high)))
     x = panel.right - 0.05
     panel.page.text(x, panel.top + 0.78, f"{percent(share)} inside", align="right", halo=True)
     panel.page.text(x, panel.top + 0.93, "(95 % expected)", align="right", halo=True)

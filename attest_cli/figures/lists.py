@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +14,11 @@ from . import style
 from .drive import AXES, HOUR_CLOCK_S, Drive, Part
 from .frame import mark
 from .page import Page
-from .words import clean, clock, number, two_digits
+from .words import THIN, clean, clock, number, two_digits
 
 MOST_FACTS, MOST_ROWS = 6, 5
 LINE, NOTE_LINE, GAP = 0.15, 0.14, 0.14
+_NUMBER_BLANK = re.compile(r"(?<=\d) (?=(?:m?s|min|h|k?m|k?Hz|deg|rad|g|µT|°|%|σ)(?:\W|$))")
 _RANK = {"FAIL": 0, "WARN": 1, "PASS": 2}
 
 
@@ -57,7 +59,7 @@ def facts(checks: Sequence[Mapping[str, Any]], width: float) -> list[Fact]:
 def wrapped(text: str, width: float, size: float, most: int = 2) -> tuple[str, ...]:
     """Text in at most ``most`` lines of a width in inches; what does not fit ends in an ellipsis."""
     lines: list[str] = []
-    words = text.split()
+    words = _NUMBER_BLANK.sub(THIN, text).split(" ")
     while words and len(lines) < most:
         taken = 1
         while taken < len(words) and style.text_width(" ".join(words[: taken + 1]), size) <= width:
@@ -150,4 +152,6 @@ def why_no_track(drive: Drive) -> str:
     if (drive.report.get("statistics") or {}).get("position_usable") is False and math.isfinite(sigma):
         driven = f" over {number(distance)} m driven" if math.isfinite(distance) and distance >= 1.0 else ""
         return f"No track is drawn: position σ reaches {two_digits(sigma)} m{driven}"
+    if np.isfinite(drive.column("position_x_m")).any():
+        return "No track is drawn: the vehicle never moved more than 3σ and 0.5 m"
     return "No track is drawn: the log gives no position"

@@ -42,7 +42,11 @@ def draw(result: Result, theme: str = "light") -> Page | None:
 
 
 def titles(drive: Drive) -> list[str]:
-    """The finding in words, longest first."""
+    """The finding in words, longest first; where a check failed, that and no sigma."""
+    broken = failure(drive)
+    if broken:
+        tail = "" if "σ" in broken or "sigma" in broken else ": the sigma does not hold"
+        return [broken + tail, broken]
     heading, tilt = drive.stat("sigma_heading_median_deg"), drive.stat("sigma_tilt_median_deg")
     known: list[str] = []
     lost: list[str] = []
@@ -57,11 +61,17 @@ def titles(drive: Drive) -> list[str]:
     tails = ["; ".join(datum + lost)]
     if drive.relative and math.isfinite(grown) and grown < HEADING_LOST_DEG:
         tails.insert(0, "; ".join([f"heading is relative only, its σ grows to {two_digits(grown)}°", *lost]))
-    passes = "No stop found: " if drive.two_passes else "No stop found, one pass: "
-    head = passes if not drive.stops else ""
+    head = "No stop found: " if not drive.stops else ""
     body = ", ".join([known[0].replace(" to ", " known to ", 1), *known[1:]]) if known else "attitude not known"
     found = [head + (body if head else body[0].upper() + body[1:]) + (f"; {t}" if t else "") for t in tails]
     return [*found, *([head + ", ".join(known)] if known and head else [])]
+
+
+def failure(drive: Drive) -> str:
+    """The fact of the first check that failed; empty where none did."""
+    failed = [c for c in drive.report.get("checks") or [] if c.get("status") == "FAIL"]
+    fact = clean(failed[0].get("fact") or failed[0].get("name") or "", 120) if failed else ""
+    return fact[:1].upper() + fact[1:]
 
 
 def _sort(known: list[str], lost: list[str], name: str, sigma: float, limit: float) -> None:
@@ -115,7 +125,10 @@ def key_numbers(drive: Drive) -> list[tuple[str, str, str]]:
     share = (drive.report.get("coverage") or {}).get("share")
     if share is not None:
         out.append((percent(float(share)), "of the log estimated", "text"))
-    warned = sum(c.get("status") != "PASS" for c in drive.report.get("checks") or [])
+    found = [str(c.get("status")) for c in drive.report.get("checks") or []]
+    failed, warned = found.count("FAIL"), len(found) - found.count("FAIL") - found.count("PASS")
+    if failed:
+        return [*out, (f"{number(failed)} | {number(warned)}", "failed | warnings", "fail")]
     return [*out, (number(warned), "warning" if warned == 1 else "warnings", "text")]
 
 
@@ -225,7 +238,7 @@ def _bottom(drive: Drive, top: float, *, brief: bool) -> Bottom | None:
     facts = lists.facts(checks, RIGHT - 5.15)
     if brief and not plan and not any(c.get("status") != "PASS" for c in checks):
         return None
-    table = len(drive.motions) > 1
+    table = len(drive.motions) > 1 or bool(drive.motions and not brief)
     left = 3.0 if plan else (0.35 + lists.weakest_height(drive) if table else 0.4)
     right = lists.height(facts)
     return Bottom(top, top + 0.35 + max(left, right if facts else 0.0), facts, plan, table)

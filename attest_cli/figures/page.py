@@ -235,8 +235,10 @@ class Panel:
         for value in at:
             self.across(value, "grid")
 
-    def y_axis(self, ticks: Ticks, *, side: Literal["left", "right"] = "left", line: bool = True) -> None:
-        """Ticks and their labels beside the panel; ``line`` draws the axis."""
+    def y_axis(
+        self, ticks: Ticks, *, side: Literal["left", "right"] = "left", line: bool = True, inset: float = 0.0
+    ) -> None:
+        """Ticks and their labels beside the panel; ``line`` draws the axis, ``inset`` keeps labels off its ends."""
         edge, out = (self.left, -1.0) if side == "left" else (self.right, 1.0)
         if line:
             self.page.line([(edge, self.top), (edge, self.bottom)])
@@ -245,6 +247,7 @@ class Panel:
             if line:
                 self.page.line([(edge + out * 0.04, at), (edge, at)])
             gap = out * (0.07 if line else 0.04)
+            at = min(max(at, self.top + inset), self.bottom - inset)
             align: Align = "right" if side == "left" else "left"
             self.page.text(edge + gap, at + middle(style.TICK), words, size=style.TICK, colour="mute", align=align)
 

@@ -24,7 +24,8 @@ def draw(result: Result, theme: str = "light") -> Page | None:
         return None
     page = new_page(
         drive, theme, 6.9, titles(drive), [drive.span, driven(drive), plan_view.axes_words(drive)],
-        f"Plan view with 95 % ellipses and {len(drive.stops)} stops, and height over {drive.span}.", "PASS",
+        f"Plan view with 95 % ellipses and {len(drive.stops)} stops, and height over {drive.span}.",
+        "FAIL" if drive.failed else "PASS",
     )  # fmt: skip
     plan_view.draw_plan(page, drive, (0.45, 0.98, 4.55, 4.15))
     _key(page, drive)
@@ -36,6 +37,8 @@ def draw(result: Result, theme: str = "light") -> Page | None:
 def titles(drive: Drive) -> list[str]:
     """How well the position is known, in the middle and at worst."""
     median, worst = drive.stat("position_sigma_median_m"), drive.stat("position_sigma_max_m")
+    if drive.failed and math.isfinite(median):
+        return [f"Position σ of {two_digits(median)} m does not hold: a check failed"]
     head = f"Position known to {two_digits(median)} m" if math.isfinite(median) else "Position of unknown σ"
     if math.isfinite(worst) and worst > 1.5 * median:
         return [f"{head}, and to {two_digits(worst)} m at worst"]

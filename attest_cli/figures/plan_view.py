@@ -16,6 +16,7 @@ from .words import number
 CHI_95 = 2.448  # sqrt of the 95 % quantile of chi-square with two degrees of freedom
 ELLIPSE_S, ELLIPSE_SHARE = 10.0, 0.03
 MOST_SQUARES = 40
+LEAST_TRACK_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,19 @@ def usable(drive: Drive) -> bool:
     """True where a track may be drawn: positions are there and not worse than the distance they tell of."""
     stated = (drive.report.get("statistics") or {}).get("position_usable")
     there = np.isfinite(drive.column("position_x_m")) & np.isfinite(drive.column("position_y_m"))
-    return bool(stated is not False and there.any())
+    return bool(stated is not False and there.any() and moved(drive))
+
+
+def moved(drive: Drive) -> bool:
+    """True where the track leaves its first point by more than half a metre and three of its median sigmas."""
+    plan = plan_of(drive)
+    known = np.flatnonzero(np.isfinite(plan.right + plan.up))
+    if not known.size:
+        return False
+    far = np.hypot(plan.right[known] - plan.right[known[0]], plan.up[known] - plan.up[known[0]]).max()
+    sigma = np.hypot(plan.sigma_right, plan.sigma_up)[known]
+    sigma = sigma[np.isfinite(sigma)]
+    return bool(far > max(LEAST_TRACK_M, 3.0 * float(np.median(sigma)) if sigma.size else 0.0))
 
 
 def axes_words(drive: Drive) -> str:

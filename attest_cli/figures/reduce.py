@@ -6,6 +6,8 @@ import numpy as np
 
 from ..records import Array, Bools, Ints
 
+WILD = 10.0
+
 
 def wrap_deg(angle: Array) -> Array:
     """Angle in degrees folded to [-180, 180)."""
@@ -104,9 +106,16 @@ def is_dense(t: Array, y: Array, start: float, end: float, columns: int, height:
 
 
 def robust_limit(differences: list[Array], sigma: Array, moving: Bools, share: float = 0.985) -> float:
-    """Half height of a difference panel: the larger of 2.2 sigma and the ``share`` quantile in motion; nan without."""
-    found = [float(2.2 * np.max(s)) for s in (sigma[np.isfinite(sigma)],) if s.size]
+    """Half height of a difference panel: the larger ``share`` quantile in motion of 2.2 sigma and of the differences.
+
+    Nodes with a sigma ``WILD`` times its median in motion (after a gap, at a singular angle) do not count; nan without.
+    """
     where = moving if moving.any() else np.ones_like(moving)
+    known = sigma[where & np.isfinite(sigma)]
+    if known.size:
+        where = where & ~(sigma > WILD * np.median(known))
+        known = sigma[where & np.isfinite(sigma)]
+    found = [float(2.2 * np.quantile(known, share))] if known.size else []
     values = np.concatenate([np.abs(d[where & np.isfinite(d)]) for d in differences]) if differences else np.empty(0)
     if values.size:
         found.append(float(np.quantile(values, share)))

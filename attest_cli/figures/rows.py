@@ -11,10 +11,12 @@ from . import reduce, style, ticks
 from .drive import AXES, Drive
 from .frame import beyond, padded, row_name, time_panel
 from .page import Box, Page, Panel
+from .separation import checks_of
 from .words import two_digits
 
 STRIP, DIFFERENCE, WITHIN, AFTER = 0.55, 0.78, 0.06, 0.15
 PAIR = STRIP + WITHIN + DIFFERENCE
+INSET = 0.035  # labels of a strip stay this far from its ends, clear of those of the next
 TURNS_FROM = 3.0
 DOT_LIMIT = 3.6  # a panel of separations in sigma reaches this far
 
@@ -31,7 +33,7 @@ def angle_strip(page: Page, drive: Drive, box: Box, name: str) -> Panel:
     panel = time_panel(page, drive, box, (low, high))
     at = ticks.linear(low, high, 3) if turns else ticks.angle(low, high, 4 if name == "yaw" else 3)
     panel.grid(at[0])
-    panel.y_axis(at)
+    panel.y_axis(at, inset=INSET)
     dense = known.size > 0 and ((drive.long and name != "yaw") or _dense(panel, drive, angle, high - low))
     if dense:
         _mean_and_reach(panel, drive, angle)
@@ -74,8 +76,8 @@ def difference_strip(page: Page, drive: Drive, box: Box, name: str) -> Panel:
     for which, values in passes.items():
         panel.series(drive.t, values, drive.breaks, which, 0.9)
     panel.across(0.0, "ink", 0.9)
-    panel.y_axis(ticks.symmetric(limit, "°"))
-    beyond(panel, drive.t, dict(zip(passes, settled, strict=True)), limit)
+    panel.y_axis(ticks.symmetric(limit, "°"), inset=INSET)
+    beyond(panel, drive.t, dict(zip(passes, settled, strict=True)), limit, [*passes.values(), 0.0 * drive.t])
     row_name(page, panel, "", "minus", "smoothed", y=panel.top + 0.18)
     drawn = [which for which, values in passes.items() if np.isfinite(values).any()]
     _key(page, panel, drawn, relative=name == "yaw" and drive.relative)
@@ -102,6 +104,11 @@ def separation_strip(page: Page, drive: Drive, box: Box, axis: int) -> Panel:
     name = AXES[axis]
     checks = [(p.value("separation_s"), p.value(f"separation_{name}_sigma"), p.index) for p in drive.motions]
     known = [(t, v, k) for t, v, k in checks if math.isfinite(t) and math.isfinite(v)]
+    able = {p.index for p, a, _ in checks_of(drive) if a == name}
+    doubtful = [(t, max(-DOT_LIMIT, min(DOT_LIMIT, v))) for t, v, k in known if k not in able]
+    if doubtful:
+        panel.points([t for t, _ in doubtful], [v for _, v in doubtful], "circle", 2.4, edge="measurement", width=0.5)
+    known = [item for item in known if item[2] in able]
     inside = [(t, v) for t, v, _ in known if abs(v) <= 2.0]
     if inside:
         panel.points([t for t, _ in inside], [v for _, v in inside], "circle", 2.6, fill="ink")
@@ -142,7 +149,7 @@ def since_start_strip(page: Page, drive: Drive, box: Box) -> Panel:
     panel = time_panel(page, drive, box, (-limit, limit))
     panel.band(drive.t, -2.0 * sigma, 2.0 * sigma, drive.breaks, "band")
     panel.across(0.0, "ink", 0.9)
-    panel.y_axis(ticks.symmetric(limit, "°"))
+    panel.y_axis(ticks.symmetric(limit, "°"), inset=INSET)
     row_name(page, panel, "", "σ", y=panel.top + 0.22)
     page.text(panel.right + 0.08, panel.top + 0.5 * panel.height + 0.035, "±2σ since start", colour="mute")
     return panel

@@ -17,12 +17,35 @@ INSIDE = 2.0
 SHARE_OUTSIDE = 0.0455  # of a normal variable, outside 2 sigma
 ALARM, FAR = 0.01, 4.0  # doubt the sigma below this probability, or where one check lies this far out
 DOTS = 3.5
+WIDE_DEG, DOUBTFUL_DEG, TIMES = 20.0, 5.0, 10.0  # 2 sigma too wide to compare: always; if so many smoothed sigma
 
 
-def checks_of(drive: Drive) -> list[tuple[Part, str, float]]:
+def every_check(drive: Drive) -> list[tuple[Part, str, float]]:
     """All checks: motion, axis, separation in sigma."""
     every = [(p, a, p.value(f"separation_{a}_sigma")) for p in drive.motions for a in AXES]
     return [item for item in every if math.isfinite(item[2])]
+
+
+def checks_of(drive: Drive) -> list[tuple[Part, str, float]]:
+    """The checks that can fail: those where both passes together are certain enough to be compared."""
+    return [item for item in every_check(drive) if predicted(drive, item[0], item[1]) <= _widest(drive, *item[:2])]
+
+
+def predicted(drive: Drive, part: Part, axis: str) -> float:
+    """Predicted 2 sigma in degrees at the check of a motion; 0 where it is not in the result."""
+    return float(np.nan_to_num(2.0 * _at_check(drive, part, f"sigma_separation_{axis}_deg")))
+
+
+def _widest(drive: Drive, part: Part, axis: str) -> float:
+    """Above this predicted 2 sigma agreement tells nothing."""
+    smoothed = _at_check(drive, part, f"smoothed_sigma_att_{axis}_deg")
+    return min(WIDE_DEG, max(DOUBTFUL_DEG, TIMES * smoothed)) if math.isfinite(smoothed) else WIDE_DEG
+
+
+def _at_check(drive: Drive, part: Part, name: str) -> float:
+    at = part.value("separation_s")
+    k = int(np.searchsorted(drive.t, at - 1e-6))
+    return float(drive.column(name)[k]) if math.isfinite(at) and k < drive.t.size else math.nan
 
 
 def checks_inside(drive: Drive) -> tuple[int, int]:
@@ -41,8 +64,10 @@ def chance(outside: int, checks: int, share: float = SHARE_OUTSIDE) -> float:
 
 
 def status_of(drive: Drive) -> str:
-    """PASS where the count outside 2 sigma is what chance gives and no check is far out."""
+    """PASS where the count outside 2 sigma is what chance gives and no check is far out; WARN where none can fail."""
     found = checks_of(drive)
+    if not found and every_check(drive):
+        return "WARN"
     inside, checks = checks_inside(drive)
     far = max((abs(v) for _, _, v in found), default=0.0)
     return "WARN" if chance(checks - inside, checks) < ALARM or far > FAR else "PASS"
@@ -58,7 +83,7 @@ def draw(result: Result, theme: str = "light") -> Page | None:
     page = new_page(
         drive, theme, 5.3, _titles(drive, inside, checks),
         [drive.span, "attitude separation, forward minus backward, against the σ predicted from both covariances"],
-        _alt(drive), status_of(drive) if checks else "",
+        _alt(drive), status_of(drive) if every_check(drive) else "",
     )  # fmt: skip
     for k, axis in enumerate(AXES):
         panel = _row(page, drive, k, axis)
@@ -68,16 +93,22 @@ def draw(result: Result, theme: str = "light") -> Page | None:
             segment_numbers(page, drive, panel)
         if k == 2:
             time_axis(panel)
-        if checks:
+        if every_check(drive):
             _dots(page, drive, k, axis)
     return page
 
 
 def _titles(drive: Drive, inside: int, checks: int) -> list[str]:
-    if not checks:
+    every = every_check(drive)
+    if not every:
         return ["Forward and backward pass overlap, but no motion gives a check"]
+    if not checks:
+        least = two_digits(min(predicted(drive, part, axis) for part, axis, _ in every))
+        return [f"Passes are too uncertain to be compared: predicted ±2σ of ±{least}° and more"]
     if status_of(drive) == "PASS":
-        return [f"Forward and backward passes agree: {inside} of {checks} segment checks inside 2σ"]
+        agree = f"Forward and backward passes agree: {inside} of {checks} segment checks inside 2σ"
+        doubtful = [f"{agree}, {len(every) - checks} too uncertain"] if len(every) > checks else []
+        return [*doubtful, agree]
     part, axis, worst = max(checks_of(drive), key=lambda item: abs(item[2]))
     name = "heading" if axis == "z" else axis
     far = f"{two_digits(abs(worst))}σ"
@@ -115,8 +146,9 @@ def _row(page: Page, drive: Drive, k: int, axis: str) -> Panel:
     panel.across(0.0)
     panel.series(drive.t, values, drive.breaks, "ink", 1.0)
     beyond(panel, drive.t, {"ink": np.where(settled, values, np.nan)}, limit)
-    panel.y_axis(ticks.symmetric(limit))
-    if not np.isfinite(values).any():
+    if np.isfinite(values).any():
+        panel.y_axis(ticks.symmetric(limit))
+    else:
         centre = panel.left + 0.5 * panel.width
         page.text(centre, panel.top + 0.5, "never known to both passes", colour="mute", align="middle", halo=True)
     row_name(page, panel, axis, drive.directions[k])
@@ -124,8 +156,12 @@ def _row(page: Page, drive: Drive, k: int, axis: str) -> Panel:
 
 
 def _dots(page: Page, drive: Drive, k: int, axis: str) -> None:
-    """One value per motion at the right, in sigma; outliers as crosses at their value or at the edge."""
+    """One value per motion at the right, in sigma; outliers as crosses at their value or at the edge.
+
+    Checks that are too uncertain to fail stand as open circles.
+    """
     top = 1.12 + 1.26 * k
+    every = [(p.index, v) for p, a, v in every_check(drive) if a == axis]
     found = [(p.index, v) for p, a, v in checks_of(drive) if a == axis]
     numbers = [p.index for p in drive.motions] or [0]
     panel = page.panel((6.52, top, 0.95, 1.10), (min(numbers) - 1.2, max(numbers) + 1.2), (-DOTS, DOTS))
@@ -138,10 +174,14 @@ def _dots(page: Page, drive: Drive, k: int, axis: str) -> None:
     if inside:
         size = 4.2 if len(numbers) < 20 else 2.6
         panel.points([n for n, _ in inside], [v for _, v in inside], "circle", size, fill="ink")
+    doubtful = [item for item in every if item not in found]
+    if doubtful:
+        shown = [max(-DOTS, min(DOTS, v)) for _, v in doubtful]
+        panel.points([n for n, _ in doubtful], shown, "circle", 4.2, edge="measurement", width=0.7)
     for n, v in found:
         if abs(v) > INSIDE:
             panel.points([n], [max(-DOTS, min(DOTS, v))], "heavy-cross", 4.2, fill="limit")
-    if not found:
+    if not every:
         page.text(panel.left + 0.475, top + 0.59, "no check", size=style.NOTE, colour="mute", align="middle", halo=True)
     if k == 0:
         page.text(7.7, 1.05, "one value per segment, in σ", size=style.NUMBER, colour="mute", align="right")

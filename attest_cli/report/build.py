@@ -245,6 +245,10 @@ def _checks(run: Run) -> list[dict[str, Any]]:
     return lines
 
 
+def _degrees(dof: int) -> str:
+    return "1 degree of freedom" if dof == 1 else f"{dof} degrees of freedom"
+
+
 def _sentence(message: str) -> str:
     """Begin with a capital, unless with the name of a file."""
     return message if ":" in message.split(" ", maxsplit=1)[0] else message[:1].upper() + message[1:]
@@ -278,7 +282,7 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
         fit = "are better than" if mean < low else "are worse than" if mean > high else "fit"
         fact, detail = (
             f"{name.capitalize()} innovations {fit} their noise",
-            f"mean NIS {mean:.2g} for {s['dof']} degrees of freedom",
+            f"mean NIS {mean:.2g} for {_degrees(s['dof'])}",
         )
         lines.append(_check(f"innovations-{role}", mean <= high, fact, detail, fatal=mean > FAR_OFF * s["dof"]))
     return lines
