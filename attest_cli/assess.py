@@ -53,8 +53,9 @@ def separation(forward: Pass, backward: Pass) -> tuple[Array, Array]:
 def segment_checks(
     t: Array, forward: Pass, backward: Pass, segmentation: Segmentation
 ) -> dict[int, tuple[float, Array]]:
-    """Return, per motion, the time where both passes are equally sure and the separation there in sigmas (3,), NaN where
-    they are too vague to be compared.
+    """Return, per motion, the time where both passes are equally sure and their separation there in sigmas (3,).
+
+    NaN where the passes are too vague to be compared.
     """
     apart, sigma = separation(forward, backward)
     f, b = (np.sum(p.sigma_n() ** 2, axis=1) for p in (forward, backward))
