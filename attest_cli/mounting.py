@@ -113,7 +113,8 @@ def _seat(imu: Imu, segmentation: Segmentation, u: Array, covariance: Array, lag
     slope = float(np.std(ups @ left)) / np.sqrt(len(ups)) if len(ups) > 2 else UNSEEN_SLOPE
     sigma = np.array([max(slope, LEAST_SLOPE), axis[2], axis[1]])
     roll, yaw = np.degrees(sigma[0]), np.degrees(sigma[2])
-    how = f"gravity at {len(ups)} stops and wheel speed: roll to {roll:.1f}°, forward to {yaw:.1f}°"
+    stops = "1 stop" if len(ups) == 1 else f"{len(ups)} stops"
+    how = f"gravity at {stops} and wheel speed: roll to {roll:.1f}°, forward to {yaw:.1f}°"
     return Mounting(rotation.from_matrix(R_bv), sigma, size, float(np.sqrt(forward @ covariance @ forward)), lag, how)
 
 
