@@ -15,6 +15,7 @@ BLOCK_S = 1.0  # velocities are compared as means over this: wheel noise in the 
 MOST_LAG_S, COARSE_LAG_S = 1.0, 0.2  # odometry stamps against IMU stamps
 CERTAIN_DEG = 5.0  # forward axis: sigma below which it is believed
 LEAST_BLOCKS = 20
+ENOUGH_S = 900.0  # of motion
 UNSEEN_SLOPE = np.radians(3.0)  # slope of the ground where fewer than three stops show it
 LEAST_SLOPE = np.radians(0.2)
 SMOOTH_BLOCKS = 5  # blocks on either side whose mean is taken away
@@ -66,7 +67,7 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     q : (n, 4) smoothed attitude of the IMU at its samples
     gravity : m/s^2
     """
-    at = np.flatnonzero((odometry.t > imu.t[0] + 1.0) & (odometry.t < imu.t[-1] - 1.0))
+    at = np.flatnonzero((odometry.t > imu.t[0] + 1.0) & (odometry.t < _enough(segmentation, imu.t[-1] - 1.0)))
     t, near = odometry.t[at], np.clip(np.searchsorted(imu.t, odometry.t[at]), 0, len(imu.t) - 1)
     block, owner = _blocks(t, segmentation)
     if not segmentation.stops or len(owner) < LEAST_BLOCKS:
@@ -116,6 +117,13 @@ def _seat(imu: Imu, segmentation: Segmentation, u: Array, covariance: Array, lag
     stops = "1 stop" if len(ups) == 1 else f"{len(ups)} stops"
     how = f"gravity at {stops} and wheel speed: roll to {roll:.1f}°, forward to {yaw:.1f}°"
     return Mounting(rotation.from_matrix(R_bv), sigma, size, float(np.sqrt(forward @ covariance @ forward)), lag, how)
+
+
+def _enough(segmentation: Segmentation, end: float) -> float:
+    """Return the time by which the log has moved long enough to tell, at most ``end``."""
+    moved = np.cumsum([s.end - s.start for s in segmentation.motions])
+    long = np.flatnonzero(moved > ENOUGH_S)
+    return min(end, segmentation.motions[int(long[0])].end) if len(long) else end
 
 
 def _blocks(t: Array, segmentation: Segmentation) -> tuple[Ints, Ints]:

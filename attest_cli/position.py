@@ -87,7 +87,7 @@ def odometry_position(
     v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
     for s in segmentation.stops:
         v_v[(imu.t >= s.used_start) & (imu.t <= s.used_end)] = 0.0
-    v_n = rotation.rotate(q, rotation.rotate(q_bv, v_v))
+    v_n = rotation.rotate(q, v_v @ rotation.matrix(q_bv).T)
     moved = 0.5 * (v_n[1:] + v_n[:-1]) * np.diff(imu.t)[:, None]
     moved[_touched(imu.t, blind)] = 0.0
     p = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)])

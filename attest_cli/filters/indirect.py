@@ -107,7 +107,7 @@ def _solve(P: Array, q: Array, bias: Array, group: Sequence[Measurement], iterat
         at += d
 
     def linearise(d: Array) -> tuple[Array, Array]:
-        R_nb = rotation.matrix(rotation.multiply(q, rotation.exp_quaternion(d[:3])))
+        R_nb = rotation.turned_matrix(q, d[:3])
         pairs = [m.linearise(R_nb, bias + d[3:]) for m in group]
         if len(pairs) == 1:
             return pairs[0]

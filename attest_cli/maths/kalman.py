@@ -21,6 +21,7 @@ from . import rotation
 
 Array = NDArray[np.float64]
 Linearise = Callable[[Array], tuple[Array, Array]]  # d -> residual (m,), Jacobian (m, s)
+CONVERGED = 1e-12
 LONG_STEP = 0.3  # rad: shorter steps of an update are taken as they are
 MOST_HALVINGS = 6
 
@@ -101,7 +102,8 @@ def iterated_update(P: Array, linearise: Linearise, R: Array, rotations: int, ma
 
     Notes
     -----
-    Ends when ``|d_{i+1} - d_i| < 1e-10``. Source: paper eqs 25-30 in the form of the project's note, section 3.
+    Ends when the next step would be below 1e-12: convergence is quadratic. Source: paper eqs 25-30 in the form of
+    the project's note, section 3.
     """
     s = P.shape[0]
     d, J = np.zeros(s), np.eye(s)
@@ -119,7 +121,7 @@ def iterated_update(P: Array, linearise: Linearise, R: Array, rotations: int, ma
             J[:rotations, :rotations] = rotation.right_jacobian(d[:rotations])
         if max_iterations > 1:
             r, local = linearise(d)
-        if float(np.abs(step).max()) < 1e-10:
+        if float(np.abs(step).max()) ** 2 < CONVERGED:  # the next step would be of this size
             break
     K = np.linalg.solve(S, PHt.T).T
     A = np.eye(s) - K @ H
@@ -178,29 +180,36 @@ def information(chain: Chain) -> tuple[Array, Array]:
     n, s = chain.dx.shape
     Y, y = np.zeros((n, s, s)), np.zeros((n, s))
     J, _ = chain.reset_jacobians()
-    stops = [0, *np.flatnonzero(np.any(chain.info != 0.0, axis=(1, 2))).tolist()]
-    for first, last in zip(stops[-2::-1], stops[:0:-1], strict=True):
+    ends = np.unique(np.concatenate([[0], np.flatnonzero(np.any(chain.info != 0.0, axis=(1, 2)))]))
+    all_Phi, all_Q = _composed(chain, ends)
+    for first, last in zip(ends[-2::-1].tolist(), ends[:0:-1].tolist(), strict=True):
         y_last = J[last].T @ (y[last] + chain.vec[last])
         Y_last = symmetric(J[last].T @ (Y[last] + chain.info[last]) @ J[last])
         y_last = y_last + Y_last @ chain.dx[last]
-        Phi, Q = _composed(chain, first, last)
+        Phi, Q = all_Phi[first:last], all_Q[first:last]
         right = np.concatenate([Y_last @ Phi, np.tile(y_last[:, None], (last - first, 1, 1))], axis=2)
         back = Phi.swapaxes(1, 2) @ np.linalg.solve(np.eye(s) + Y_last @ Q, right)
         Y[first:last], y[first:last] = symmetric(back[:, :, :s]), back[:, :, s]
     return Y, y
 
 
-def _composed(chain: Chain, first: int, last: int) -> tuple[Array, Array]:
-    """Return ``Phi`` and ``Q`` (last - first, s, s) from each node ``first .. last - 1`` to ``last``, without
-    measurements between.
+def _composed(chain: Chain, ends: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return ``Phi`` and ``Q`` (ends[-1], s, s) from each node to the end of its stretch between ``ends``, all
+    stretches at once.
     """
     s = chain.dx.shape[1]
-    Phi, Q = np.empty((last - first, s, s)), np.empty((last - first, s, s))
-    P, N = np.eye(s), np.zeros((s, s))
-    for k in range(last - 1, first - 1, -1):
-        N = N + P @ chain.Q[k] @ P.T
-        P = P @ chain.Phi[k]
-        Phi[k - first], Q[k - first] = P, N
+    Phi, Q = np.empty((ends[-1], s, s)), np.empty((ends[-1], s, s))
+    length = np.diff(ends)
+    order = np.argsort(-length, kind="stable")  # long stretches first: the active ones are always a prefix
+    last, length = ends[1:][order], length[order]
+    P, N = np.tile(np.eye(s), (len(last), 1, 1)), np.zeros((len(last), s, s))
+    for k in range(int(length.max(initial=0))):
+        active = int(np.searchsorted(-length, -k, side="left"))
+        at = last[:active] - 1 - k
+        P, N = P[:active], N[:active]
+        N = N + P @ chain.Q[at] @ P.swapaxes(1, 2)
+        P = P @ chain.Phi[at]
+        Phi[at], Q[at] = P, N
     return Phi, Q
 
 

@@ -5,18 +5,29 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-17
 SMALL = 0.3  # rad: below it the closed forms lose digits and their series are exact to rounding
 
 
 def series(x2: Array, first: float, ratios: tuple[tuple[int, int], ...]) -> Array:
-    """Evaluate the nested alternating series ``first * (1 - x2/(a b) (1 - x2/(c d) (...)))`` for ``x2 = x**2``."""
+    """Evaluate the nested alternating series ``first * (1 - x2/(a b) (1 - x2/(c d) (...)))`` for ``x2 = x**2``.
+
+    Terms that cannot reach rounding at the largest ``x2`` are left out: at the rate of an IMU two or three remain.
+    """
+    largest, size, count = float(np.max(x2, initial=0.0)), 1.0, 0
+    while count < len(ratios) and size > ROUNDING:
+        size *= largest / (ratios[count][0] * ratios[count][1])
+        count += 1
     total = np.ones_like(x2)
-    for a, b in reversed(ratios):
+    for a, b in reversed(ratios[:count]):
         total = 1.0 - x2 / (a * b) * total
     return first * total
 
@@ -166,9 +177,54 @@ def right_jacobian(v: Array) -> Array:
 
     ``Exp(v + e) = Exp(v) Exp(J_r(v) e)`` to first order in ``e``; :math:`\int_0^1 Exp(-sv)\,ds = J_r(v)`.
     """
+    if v.ndim == 1:
+        return _right_jacobian_of_one(*v.tolist())
     _, b, c = sine_ratios(np.sum(v * v, axis=-1))
     s = skew(v)
     return np.eye(3) - b[..., None, None] * s + c[..., None, None] * (s @ s)
+
+
+def _right_jacobian_of_one(x: float, y: float, z: float) -> Array:
+    """Return the right Jacobian of one vector: in plain floats, ten times faster than as an array of one."""
+    x2 = x * x + y * y + z * z
+    if x2 < 1e-4:
+        b, c = 0.5 - x2 / 24 * (1 - x2 / 30), 1 / 6 - x2 / 120 * (1 - x2 / 42)
+    else:
+        angle = math.sqrt(x2)
+        b, c = 2 * math.sin(0.5 * angle) ** 2 / x2, (angle - math.sin(angle)) / (x2 * angle)
+    return np.array(
+        [
+            [1 - c * (y * y + z * z), b * z + c * x * y, -b * y + c * x * z],
+            [-b * z + c * x * y, 1 - c * (x * x + z * z), b * x + c * y * z],
+            [b * y + c * x * z, -b * x + c * y * z, 1 - c * (x * x + y * y)],
+        ]
+    )
+
+
+def turned_matrix(q: Array, v: Array) -> Array:
+    """Return ``R(q Exp(v))`` (3, 3) of one quaternion (4,) and one rotation vector (3,), in plain floats."""
+    vx, vy, vz = v.tolist()
+    half = 0.5 * math.sqrt(vx * vx + vy * vy + vz * vz)
+    k, c = (0.5 * math.sin(half) / half if half > 1e-9 else 0.5), math.cos(half)
+    w, x, y, z = _product(q.tolist(), (c, k * vx, k * vy, k * vz))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _product(p: Sequence[float], q: Sequence[float]) -> tuple[float, float, float, float]:
+    w, x, y, z = p
+    a, b, c, d = q
+    return (
+        w * a - x * b - y * c - z * d,
+        w * b + x * a + y * d - z * c,
+        w * c - x * d + y * a + z * b,
+        w * d + x * c - y * b + z * a,
+    )
 
 
 def inverse_right_jacobian(v: Array) -> Array:
@@ -231,14 +287,9 @@ def mean_direction_rotation(body: Array, reference: Array, weight: Array) -> Arr
 
 def chain(turns: Array, start: Array | None = None) -> Array:
     """Return the running products ``start * turns[0] * ... * turns[k]`` (n, 4); ``start`` defaults to no rotation."""
-    w, x, y, z = (1.0, 0.0, 0.0, 0.0) if start is None else start.tolist()
+    now = (1.0, 0.0, 0.0, 0.0) if start is None else tuple(start.tolist())
     out = []
-    for a, b, c, d in turns.tolist():
-        w, x, y, z = (
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        )
-        out.append((w, x, y, z))
+    for turn in turns.tolist():
+        now = _product(now, turn)
+        out.append(now)
     return normalise(np.array(out).reshape(-1, 4))
