@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import signal
 import sys
@@ -48,7 +50,9 @@ def run(arguments: Sequence[str]) -> int:
     except MemoryError:
         _line("not enough memory; read a part of the log with --start and --end")
     except OSError as fault:
-        _line(f"{fault.filename}: {fault.strerror}" if fault.filename is not None else str(fault))
+        full = "standard output" if fault.errno == errno.ENOSPC else None  # files are named where they are written
+        place = fault.filename if fault.filename is not None else full
+        _line(str(fault) if place is None else f"{place}: {fault.strerror}")
     except Exception as fault:  # noqa: BLE001 (the last line of defence: a user never sees a bare traceback)
         _defect(
             fault, verbose=any(a == "--verbose" or (a[:1] == "-" and a[1:2] != "-" and "v" in a) for a in arguments)
@@ -73,10 +77,13 @@ def _invoke(arguments: Sequence[str]) -> int:
 
 def _finish(code: int) -> int:
     """Flush what was printed; a reader that has left (``| head -1``) is no fault, a full disk is."""
+    from .commands.console import named
+
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
-                stream.flush()
+                with named(stream):
+                    stream.flush()
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # so that Python's own flush at exit is quiet
     return code
@@ -88,7 +95,8 @@ def _line(text: str) -> None:
     try:
         print(f"attest: {plain(text)}", file=sys.stderr, flush=True)  # noqa: T201
     except OSError:
-        _finish(REFUSED)
+        with contextlib.suppress(AttestError):
+            _finish(REFUSED)
 
 
 def _defect(fault: Exception, *, verbose: bool) -> None:

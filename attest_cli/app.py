@@ -1,11 +1,14 @@
-"""The command line: commands, options, help. Imports typer only; each command loads what it needs when it runs."""
+"""The command line: commands, options, help. Imports typer alone; each command loads what it needs when it runs."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+
+from .errors import AttestError
 
 app = typer.Typer(
     name="attest",
@@ -26,6 +29,23 @@ def _mapping(values: list[str] | None) -> list[str]:
     return values or []
 
 
+def _once(logs: list[Path]) -> list[Path]:
+    """Refuse a log that is given twice: it would be two sensors of one name."""
+    seen: dict[str, Path] = {}
+    for log in logs:
+        first = seen.setdefault(os.path.realpath(log), log)
+        if first is not log:
+            raise AttestError(f"{log}: the same file as {first}", "name each log once")
+    return logs
+
+
+def _place(name: str) -> Path:
+    """Refuse an empty name, which would mean this folder."""
+    if not name.strip():
+        raise typer.BadParameter("the name is empty")
+    return Path(name)
+
+
 def _version(value: bool) -> None:
     if value:
         from . import __version__
@@ -35,11 +55,21 @@ def _version(value: bool) -> None:
 
 
 Logs = Annotated[
-    list[Path], typer.Argument(metavar="LOG", help="CSV, Parquet or MCAP; several are the files of one drive.")
+    list[Path],
+    typer.Argument(
+        metavar="LOG", readable=False, callback=_once, help="CSV, Parquet or MCAP; several are the files of one drive."
+    ),
 ]
 Config = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="Settings; default: attest.toml beside the log.", rich_help_panel=_READ),
+    typer.Option(
+        "--config",
+        "-c",
+        metavar="FILE",
+        readable=False,
+        help="Settings; default: attest.toml beside the log.",
+        rich_help_panel=_READ,
+    ),
 ]
 Mapping = Annotated[
     list[str] | None,
@@ -62,11 +92,16 @@ End = Annotated[
 StopFile = Annotated[
     Path | None,
     typer.Option(
-        "--stops", metavar="FILE", help="CSV with start_s, end_s instead of the detector.", rich_help_panel=_METHOD
+        "--stops",
+        metavar="FILE",
+        readable=False,
+        help="CSV with start_s, end_s instead of the detector.",
+        rich_help_panel=_METHOD,
     ),
 ]
 Output = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="DIR", help="Result folder.", rich_help_panel=_OUTPUT)
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", parser=_place, help="Result folder.", rich_help_panel=_OUTPUT),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing result.", rich_help_panel=_OUTPUT)]
 Theme = Annotated[
@@ -141,7 +176,7 @@ def smooth(
         typer.Option("--max-sigma-attitude-deg", help="Gate: exit code 3 where passed.", rich_help_panel=_OUTPUT),
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Exit code 3 on any warning.", rich_help_panel=_OUTPUT)
+        bool, typer.Option("--strict", help="Exit code 3 on any warning or doubt.", rich_help_panel=_OUTPUT)
     ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan only.", rich_help_panel=_TALK)] = False,
     json: Json = False,
@@ -151,7 +186,7 @@ def smooth(
 ) -> int:
     """Smooth a drive: attitude and position with sigmas, and a report.
 
-    Exit code 0: done; 1: refused or failed; 2: usage; 3: done, but data was lost or a gate failed.
+    Exit code 0: done; 1: refused or failed; 2: usage; 3: done, but data was lost, a gate or the verdict failed.
     """
     from .commands import smooth as command
     from .commands.console import Console
@@ -180,7 +215,7 @@ def smooth(
 def report(
     results: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="RESULT", help="Result folders; default: the newest *.attest here."),
+        typer.Argument(metavar="RESULT", readable=False, help="Result folders; default: the newest *.attest here."),
     ] = None,
     theme: Theme = None,
     json: Json = False,
@@ -227,7 +262,12 @@ def segment(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="PNG", help="Picture; default: LOG.stops.png here.", rich_help_panel=_OUTPUT
+            "--output",
+            "-o",
+            metavar="PNG",
+            parser=_place,
+            help="Picture; default: LOG.stops.png here.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -256,6 +296,7 @@ def simulate(
             "--output",
             "-o",
             metavar="FILE",
+            parser=_place,
             help="NAME.csv, .mcap or .parquet; a bare NAME writes all three. Default: the scenario's name.",
             rich_help_panel=_OUTPUT,
         ),

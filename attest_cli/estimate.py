@@ -47,9 +47,18 @@ class Estimate:
 
 
 def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
-    """Run the forward filter and the smoother over a log: nodes, alignment, forward, backward, Gauss-Newton where it
-    pays.
+    """Run the forward filter and the smoother over a log.
+
+    Nodes, alignment, forward, backward, Gauss-Newton where it pays; a log without a stop twice, for its accelerometer
+    windows are turned by a gyro whose bias the first round finds.
     """
+    found = _estimate(log, segmentation, settings, progress)
+    if segmentation.stops:
+        return found
+    return _estimate(log, replace(segmentation, bias_b=found.smoothed.bias.mean(axis=0)), settings, progress)
+
+
+def _estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress) -> Estimate:
     world, noise = find_world(log, settings), find_noise(log, segmentation, settings)
     observations, warnings = observe(log, segmentation, world, noise, settings)
     nodes = build_nodes(log, segmentation, observations, noise, settings)
@@ -57,27 +66,34 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     progress("forward filter", 0.3)
     run_filter = filters.load(settings.smoothing.filter)
     nodes, forward, raised = consistent_run(run_filter, nodes, start, settings.smoothing.gate_probability)
+    if raised > 1.0:
+        noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
+        message = f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit"
+        hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
+        warnings.append(Warn("gyro-noise-raised", message, hint))
     forward = replace(forward, heading=_heading(forward))
     progress("smoothing", 0.5)
     smoothed = smooth_run(nodes, start, forward, settings)
-    told = (*warnings, *raised, *_heading_warnings(forward))
-    return Estimate(world, noise, nodes, forward, smoothed, told)
+    if not smoothed.settled:
+        hint = "compare --iterations 20; a log whose heading or tilt is hardly known may have two answers"
+        warnings.append(Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", hint))
+    return Estimate(world, noise, nodes, forward, smoothed, (*warnings, *_heading_warnings(forward)))
 
 
 def consistent_run(
     run_filter: filters.Filter, nodes: Nodes, start: Start, gate: float
-) -> tuple[Nodes, FilterRun, list[Warn]]:
-    """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows,
-    raise the gyro's variance until it fits.
+) -> tuple[Nodes, FilterRun, float]:
+    """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows, raise
+    the gyro's variance until it fits. Return nodes and run, and the factor.
 
     Gravity at a stop that follows a motion is the one measurement that cannot be an outlier: rejecting it would keep a
     wrong attitude with a small sigma. Its mean NIS over the motions is the factor.
     """
-    raised = 1.0
+    forward, raised = run_filter(nodes, start, gate), 1.0
     for _ in range(MOST_RAISES):
-        forward = run_filter(nodes, start, gate)
         found = forward.innovations
-        after = (found.role == "gravity") & (found.t > found.t[found.role == "gravity"].min(initial=np.inf))
+        at_stops = (found.role == "gravity") & ~nodes.moving[found.node]
+        after = at_stops & (found.t > found.t[at_stops].min(initial=np.inf))
         nis = np.sort(found.nis[after])[: -1 if after.sum() >= FEW_MOTIONS else None]  # one odd stop proves nothing
         freedom = 2 * len(nis)
         if freedom == 0 or nis.sum() <= upper_quantile(freedom, SURE):
@@ -86,20 +102,8 @@ def consistent_run(
         if factor < LEAST_RAISE:
             break
         nodes, raised = nodes.raised(factor), raised * factor
-    if raised == 1.0:
-        return nodes, forward, []
-    hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
-    return (
-        nodes,
-        forward,
-        [
-            Warn(
-                "gyro-noise-raised",
-                f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit",
-                hint,
-            )
-        ],
-    )
+        forward = run_filter(nodes, start, gate)
+    return nodes, forward, raised
 
 
 def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Settings) -> Smoothed:

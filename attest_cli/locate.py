@@ -93,7 +93,7 @@ def _trusted(
         told.append(Warn("odometry-not-used", doubt, "give [imu] mounting"))
     if doubt and not forced:
         return None, told
-    silent = position.silences(odometry.t, log.imu.t)
+    silent = position.silences(odometry, log.imu.t, segmentation)
     if len(silent):
         longest = float(np.diff(silent, axis=1).max())
         total = float(np.diff(silent, axis=1).sum())

@@ -37,6 +37,7 @@ from .writers.folder import result_folder
 from .writers.logs import write_recording
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, KEPT_BYTES = -1, -3, 1 << 30  # malloc.h
+FRAMES = {"enu": "ENU world, FLU body", "ned": "NED world, FRD body"}
 LOG_SUFFIXES = (".csv", ".mcap", ".parquet")
 DETECTOR_STEP_S = 0.1  # the statistic is drawn at this step
 
@@ -112,6 +113,7 @@ def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, prog
         write_track(track, metadata, folder / f"track.{name}", name)
     t = run.forward.t
     relative = run.forward.heading == "relative"
+    metadata |= {"frame": FRAMES["enu"]}  # the pages are drawn from these
     nodes = tables.pass_columns(run.log, t, run.passes, run.separation, run.position, run.segmentation, relative)
     write_table(nodes, folder / "passes.parquet", metadata)
     write_table(
@@ -131,13 +133,13 @@ def _metadata(run: Run, report: Mapping[str, Any]) -> dict[str, str]:
     frame = run.effective.settings.world.frame
     return {
         "attest_version": report["attest_version"],
-        "frame": "ENU world, FLU body" if frame == "enu" else "NED world, FRD body",
+        "frame": FRAMES[frame],
         "quaternion": "Hamilton, body to world, w x y z",
         "angles": "fixed axes x, y, z (REP-103), degrees",
         "sigma": "one standard deviation; attitude about the world's axes",
         "heading": report["heading"],
         "body_axes": report["body"]["axes"],
-        "q_body_sensor": json.dumps(report["body"]["q_body_sensor"]),
+        "q_body_sensor": json.dumps(report["body"]["q_body_sensor"]) + (" (FLU)" if frame == "ned" else ""),
         "t0_ns": str(run.log.t0_ns),
         "sources": ", ".join(f"{f['name']} sha256:{f['sha256']}" for f in report["input"]["files"]),
     }
@@ -228,8 +230,9 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
     for o in observations:
         counts[o.role] = counts.get(o.role, 0) + 1
     used, cfg = {f.channel: role for role, f in log.fixes.items()}, settings.smoothing
+    seconds = float(log.imu.t[-1] - log.imu.t[0])
     return {
-        "log": {"files": [p.name for p in paths], "duration_s": float(log.imu.t[-1]), "samples": len(log.imu.t)},
+        "log": {"files": [p.name for p in paths], "duration_s": seconds, "samples": len(log.imu.t)},
         "channels": [
             {"name": c.name, "type": c.kind, "rows": len(c.stamps_ns), "used as": used.get(c.name, c.role or "nothing")}
             for r in recordings for c in r.channels

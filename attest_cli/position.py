@@ -82,7 +82,7 @@ def odometry_position(
     gaps : (g, 2) holes of the IMU, s
     """
     cfg, t = settings.odometry, smoothed.t
-    silent = silences(odometry.t, imu.t)
+    silent = silences(odometry, imu.t, segmentation)
     blind = np.concatenate([gaps, silent])
     v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
     for s in segmentation.stops:
@@ -107,10 +107,13 @@ def odometry_position(
     return Position(p, v_n, P, {}, distance, _usable(P, distance), "odometry")
 
 
-def silences(t: Array, span: Array) -> Array:
-    """Return the spans (k, 2) in which a sensor that delivers at ``t`` says nothing within the time of ``span``."""
+def silences(odometry: Fixes, span: Array, segmentation: Segmentation) -> Array:
+    """Return the spans (k, 2) of motion in which the odometry says nothing; at a stop the speed is known without it."""
+    t = odometry.t
     limit = max(LONGEST_SILENCE_S, 5.0 * float(np.median(np.diff(t)))) if len(t) > 1 else LONGEST_SILENCE_S
-    edges = np.concatenate([[span[0]], np.clip(t, span[0], span[-1]), [span[-1]]])
+    stops = [np.arange(s.start, s.end + 0.5 * limit, 0.5 * limit) for s in segmentation.stops]
+    known = np.clip(np.sort(np.concatenate([t, *stops])), span[0], span[-1])
+    edges = np.concatenate([[span[0]], known, [span[-1]]])
     long = np.flatnonzero(np.diff(edges) > limit)
     return np.stack([edges[long], edges[long + 1]], axis=1)
 

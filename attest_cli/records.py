@@ -211,7 +211,7 @@ class Segmentation:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a result folder holds and pages are drawn from (columns: ``interface.md`` and ``writers/result.py``)."""
+    """What a result folder holds and pages are drawn from (columns: ``interface.md`` and ``readers/result.py``)."""
 
     folder: Path
     report: Mapping[str, Any]  # report.json
@@ -279,3 +279,4 @@ class Smoothed:
     cross: Array
     passes: int = 0
     information: tuple[Array, Array] | None = None
+    settled: bool = True  # the last Gauss-Newton pass moved nothing

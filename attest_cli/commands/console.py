@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from ..errors import AttestError
+
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
     from rich.text import Text
@@ -68,7 +70,8 @@ class Console:
 
     def data(self, value: Any) -> None:
         """A result as JSON on stdout (``--json``); not a number becomes null."""
-        sys.stdout.write(json.dumps(finite(value), indent=2, default=str) + "\n")
+        with named(sys.stdout):
+            sys.stdout.write(json.dumps(finite(value), indent=2, default=str) + "\n")
 
     @contextlib.contextmanager
     def working(self) -> Iterator[Callable[[str, float], None]]:
@@ -80,6 +83,18 @@ class Console:
                 yield report
         else:
             yield _silent
+
+
+@contextlib.contextmanager
+def named(stream: Any) -> Iterator[None]:
+    """Name the stream that cannot be written to; a reader that has left is another matter."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as fault:
+        name = "standard error" if stream is sys.stderr else "standard output"
+        raise AttestError(f"{name} cannot be written: {fault.strerror}", "is there room where it goes?") from None
 
 
 def finite(value: Any) -> Any:
@@ -102,7 +117,8 @@ def _assembled(parts: Sequence[Part | str]) -> Text:
 
 def _print(stream: Any, line: Text) -> None:
     if stream is not None:
-        _terminal(stream).print(line, soft_wrap=True)
+        with named(stream):
+            _terminal(stream).print(line, soft_wrap=True)
 
 
 def _terminal(stream: Any) -> Terminal:

@@ -40,10 +40,9 @@ def run(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any],
             console.say(
                 (f"{recording.source.name}", "strong"), (f"  {recording.format}, {recording.rows} rows in all", "mute")
             )
-        console.table(
-            [HEAD, *(_row(channel) for channel in found if "rows" in channel or console.verbose)], right="llrrrrr"
-        )
-        _unread([channel["name"] for channel in found if "rows" not in channel], console)
+        shown = [channel for channel in found if "rows" in channel or console.verbose] or found
+        console.table([HEAD, *map(_row, shown)], right="llrrrrr")
+        _unread([channel["name"] for channel in found if channel not in shown], console)
     for warning in warnings:
         console.warn(warning.message, warning.hint)
     if refusal is not None:
@@ -104,7 +103,7 @@ def _row(facts: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _unread(names: Sequence[str], console: Console) -> None:
     """What is of no kind that attest reads, in one line."""
-    if names and not console.verbose:
+    if names:
         some = ", ".join(names[:6]) + (" …" if len(names) > 6 else "")
         console.say(
             ("not read: ", "mute"), some, (f"  ({len(names)} in all; -v lists them)" if len(names) > 6 else "", "mute")

@@ -34,7 +34,9 @@ def run(
     _tell(report, folder, console)
     passed = _gate_passed(report, effective.settings.gate.max_sigma_attitude_deg, console)
     lost = any(warning.get("lost") for warning in report["warnings"])
-    return LOST if lost or not passed or (strict and report["warnings"]) else OK
+    failed = lost or not passed or report["verdict"] == "FAIL"
+    doubted = bool(report["warnings"]) or any(check["status"] != "PASS" for check in report["checks"])
+    return LOST if failed or (strict and doubted) else OK
 
 
 def plan(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any], console: Console) -> int:

@@ -24,7 +24,7 @@ MOST_PRIOR = np.radians(60.0)
 BIAS_DRIFT = 5e-4  # rad/s: how fast the start is lost where no stop knows the bias
 LEAST_BIAS_PRIOR = 1e-4  # rad/s
 SHORT_STOP_S = 3.0  # the stop that knows the bias lasts at least about this
-STANDING_S = 1.0  # a log that stands within its first second starts at a stop
+STANDING_S = 3.0  # a log that stands within its first seconds starts at a stop
 DATUM = 1e-4  # rad: heading that is zero by definition
 HEADING_SPAN_S = 20.0  # headings this long after the first one are averaged
 
@@ -60,7 +60,8 @@ def align(nodes: Nodes, bias_sigma: float, magnetic: bool) -> Start:
         raise AttestError("no measurement gives the attitude at the start", "the log needs a stop or an orientation")
     dead = rotation.chain(nodes.increments.dq, np.array([1.0, 0.0, 0.0, 0.0]))
     dead = np.concatenate([[[1.0, 0.0, 0.0, 0.0]], dead])  # node 0 -> node k
-    if whole and (not level or whole[0].t <= level[0].t):
+    from_orientation = bool(whole) and (not level or whole[0].t <= level[0].t)
+    if from_orientation:
         first = whole[0]
         q0 = rotation.multiply(first.values[0], rotation.conjugate(dead[first.node]))
         heading, sigma, age = "absolute", float(np.sqrt(first.noise[0, 0])), first.t - nodes.t[0]
@@ -72,7 +73,7 @@ def align(nodes: Nodes, bias_sigma: float, magnetic: bool) -> Start:
         q0 = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q0)
         age = max(anchor.t, when) - nodes.t[0]
     in_motion = bool(nodes.moving[nodes.t <= nodes.t[0] + STANDING_S].all())
-    tilt0 = float(np.sqrt(level[0].noise[0, 0])) if level else sigma
+    tilt0 = sigma if from_orientation else float(np.sqrt(level[0].noise[0, 0]))
     bias_prior, carried = _carried(nodes, age, bias_sigma) if in_motion else (bias_sigma, 0.0)
     prior = [float(np.clip(PRIOR_FACTOR * np.hypot(s, carried), LEAST_PRIOR, MOST_PRIOR)) for s in (tilt0, sigma)]
     yaw = DATUM if heading == "relative" else prior[1]

@@ -21,7 +21,7 @@ from . import rotation
 
 Array = NDArray[np.float64]
 Linearise = Callable[[Array], tuple[Array, Array]]  # d -> residual (m,), Jacobian (m, s)
-CONVERGED = 1e-12
+CONVERGED = 1e-16
 LONG_STEP = 0.3  # rad: shorter steps of an update are taken as they are
 MOST_HALVINGS = 6
 
@@ -102,7 +102,7 @@ def iterated_update(P: Array, linearise: Linearise, R: Array, rotations: int, ma
 
     Notes
     -----
-    Ends when the next step would be below 1e-12: convergence is quadratic. Source: paper eqs 25-30 in the form of
+    Ends when the next step would be below 1e-16: convergence is quadratic. Source: paper eqs 25-30 in the form of
     the project's note, section 3.
     """
     s = P.shape[0]

@@ -239,11 +239,6 @@ def inverse_right_jacobian(v: Array) -> Array:
     return np.eye(3) + 0.5 * s + factor[..., None, None] * (s @ s)
 
 
-def compose(u: Array, v: Array) -> Array:
-    """Return ``Log(Exp(u) Exp(v))``."""
-    return log_quaternion(multiply(exp_quaternion(u), exp_quaternion(v)))
-
-
 def continuous(q: Array) -> Array:
     """Return the quaternions (n, 4) with signs chosen so that neighbours have a positive scalar product; the first
     has w >= 0.
@@ -266,23 +261,6 @@ def roll_pitch_yaw(q: Array) -> Array:
 def wrap(angle: Array) -> Array:
     """Return the angle, rad, brought into [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
-
-
-def mean_direction_rotation(body: Array, reference: Array, weight: Array) -> Array:
-    r"""Solve Wahba's problem: the ``R`` that minimises :math:`\sum_i w_i |n_i - R b_i|^2`.
-
-    Parameters
-    ----------
-    body, reference : (m, 3) unit vectors in body and navigation axes, at least two of them not parallel
-    weight : (m,), 1/sigma^2
-
-    Notes
-    -----
-    SVD solution of Markley, J. Astronaut. Sci. 36(3), 1988; equals Davenport's q-method.
-    """
-    b = np.einsum("m,mi,mj->ij", weight, reference, body)
-    u, _, vt = np.linalg.svd(b)
-    return np.asarray(u @ np.diag([1.0, 1.0, float(np.linalg.det(u) * np.linalg.det(vt))]) @ vt)
 
 
 def chain(turns: Array, start: Array | None = None) -> Array:

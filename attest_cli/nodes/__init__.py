@@ -71,7 +71,9 @@ class Nodes:
     def motion_variance(self) -> float:
         """Return the attitude variance, rad^2, that gyro noise adds over the worst motion."""
         added = np.where(self.frozen | self.gap, 0.0, self.density * self.increments.span)
-        edges = np.flatnonzero(np.diff(np.concatenate([[True], self.frozen, [True]]).astype(np.int8)))
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[False], self.moving[:-1] | self.moving[1:], [False]]).astype(np.int8))
+        )
         total = np.concatenate([[0.0], np.cumsum(added)])
         return max(float(np.max(np.diff(total[edges]), initial=0.0)), 1e-12)
 

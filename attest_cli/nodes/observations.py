@@ -17,6 +17,7 @@ from .noise import Noise, reference_bias, stop_ranges
 
 FIELD_CORRELATION_S = 5.0  # a disturbed magnetic field stays disturbed this long in motion (design note, question 1)
 WINDOW_S = 10.0  # accelerometer window that stands in for a stop where a log has none
+CORRELATION_S = 1.0  # readings of a direction or heading sensor within this share their error
 STOP_BLOCK_S = 1.0  # samples of a fast sensor at a stop are averaged over this
 
 
@@ -51,14 +52,21 @@ def observe(
     policy = settings.smoothing.absolute
     found = gravity_at_stops(log, segmentation, world, noise, settings)
     if not found or policy == "always":
-        windows, warning = gravity_in_windows(log, segmentation, world, settings)
-        warnings += [] if found else [warning]
+        windows, told = gravity_in_windows(log, segmentation, world, settings)
+        warnings += [] if found else told
         found += windows
     for role, build in (("sun", _sun), ("compass", _compass), ("orientation", _orientation)):
         if role in log.fixes:
             found += build(log.fixes[role], segmentation, world, settings, policy, warnings)
     if "magnetometer" in log.fixes:
-        found += _magnetometer(log.fixes["magnetometer"], segmentation, world, settings, policy)
+        if world.field_n is None and any(o.role in {"sun", "compass", "orientation"} for o in found):
+            warnings.append(
+                Warn("no-magnetic-reference",
+                     "magnetometer not used: its north is not the true north of the other sensors",
+                     "set [world] latitude_deg and longitude_deg, or magnetic_field_ut")
+            )  # fmt: skip
+        else:
+            found += _magnetometer(log.fixes["magnetometer"], segmentation, world, settings, policy)
     return sorted(found, key=lambda o: o.t), warnings
 
 
@@ -72,12 +80,13 @@ def gravity_at_stops(
     second, each with so much noise that together they know no more than the accelerometer bias lets them.
     """
     out = []
-    for s, (lo, hi) in zip(segmentation.stops, stop_ranges(log, segmentation), strict=True):
+    shared = _stops_that_share(segmentation, noise, settings.imu.accel_bias_sigma / world.gravity)
+    for s, (lo, hi), alike in zip(segmentation.stops, stop_ranges(log, segmentation), shared, strict=True):
         if hi - lo < 3:
             continue
         span = s.used_end - s.used_start
         blocks = 1 if settings.smoothing.zero_rate else max(1, int(span / STOP_BLOCK_S))
-        variance = noise.accel_density**2 * blocks / span + blocks * settings.imu.accel_bias_sigma**2
+        variance = noise.accel_density**2 * blocks / span + blocks * alike * settings.imu.accel_bias_sigma**2
         for rows in np.array_split(np.arange(lo, hi), blocks):
             mean = log.imu.accel_b[rows].mean(axis=0)
             when = s.used_start if settings.smoothing.zero_rate else float(np.mean(log.imu.t[rows]))
@@ -87,48 +96,66 @@ def gravity_at_stops(
     return out
 
 
+def _stops_that_share(segmentation: Segmentation, noise: Noise, tilt: float) -> Array:
+    r"""Return, per stop, how many stops the gyro links so closely that they share one accelerometer bias.
+
+    One bias tilts all stops alike, and does not average away over stops between which the gyro drifts less than it:
+    :math:`n_i=\sum_j 1/(1+d_{ij}^2/\sigma_t^2)`, :math:`d^2=N_r\Delta t+(N_r/T)\Delta t^2` with stops of length ``T``.
+    """
+    middle = np.array([0.5 * (s.used_start + s.used_end) for s in segmentation.stops])
+    length = np.array([max(s.used_end - s.used_start, 1e-3) for s in segmentation.stops])
+    apart = np.abs(middle[:, None] - middle)
+    drift = noise.n_r * (apart + apart**2 / length)
+    return np.asarray(np.sum(1.0 / (1.0 + drift / max(tilt, 1e-9) ** 2), axis=1))
+
+
 def _up() -> Direction:
     return Direction(np.array([0.0, 0.0, 1.0]))
 
 
 def gravity_in_windows(
     log: Log, segmentation: Segmentation, world: World, settings: Settings
-) -> tuple[list[Observation], Warn]:
-    r"""Tilt in motion, for a log without a stop or by request: specific force, turned by the gyro into the middle of
+) -> tuple[list[Observation], list[Warn]]:
+    r"""Tilt in motion, for a log without a stop or by request: specific force turned by the gyro into the middle of
     long windows, and averaged.
 
     The mean acceleration of a window is what speed it gained over its length. Its size is not known: sigma is the
-    larger of the misfit of the mean's norm to gravity and half the change from window to window, doubled because a
-    turn lasts.
+    largest of twice the misfit of the mean's norm to gravity, the change from window to window, and the steady
+    acceleration :math:`\sqrt{2g\,\overline{|f|-g}}` that a mean misfit would need; to it comes what an unseen gyro bias
+    about the vertical makes of the vehicle's lean within a window.
     """
     t, bias = log.imu.t, reference_bias(log, segmentation, log.imu.t)
-    means, turns, spans = [], [], []
+    middles, means, turns = [], [], []
     for lo, hi in _long_windows(t, segmentation):
         dt = np.diff(t[lo:hi], prepend=t[lo])
-        q = rotation.chain(
-            rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias[lo:hi]) * dt[:, None])
-        )  # start -> sample
-        means.append(np.einsum("mij,mj->i", rotation.matrix(q), log.imu.accel_b[lo:hi]) / (hi - lo))
-        turns.append(rotation.matrix(q[-1]))
-        spans.append((float(t[lo]), float(t[hi - 1])))
+        q = rotation.chain(rotation.exp_quaternion((log.imu.gyro_b[lo:hi] - bias[lo:hi]) * dt[:, None]))
+        half = (hi - lo) // 2
+        from_middle = rotation.matrix(rotation.multiply(rotation.conjugate(q[half]), q))
+        means.append(np.einsum("mij,mj->i", from_middle, log.imu.accel_b[lo:hi]) / (hi - lo))
+        turns.append((rotation.matrix(q[half]), from_middle[-1]))  # start -> middle -> end
+        middles.append(float(t[lo + half]))
+    if not means:
+        return [], []
     vectors = np.array(means)
     misfit = np.linalg.norm(vectors, axis=1) - world.gravity
-    follows = [k for k in range(len(spans) - 1) if spans[k + 1][0] - spans[k][1] < 1.0]
-    change = np.array([turns[k].T @ means[k] - means[k + 1] for k in follows])
-    sigma = 2.0 * max(
-        float(np.sqrt(np.mean(misfit**2))), 0.5 * float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
-    )
-    sigma = max(sigma, settings.imu.accel_bias_sigma) / world.gravity
+    follows = [k for k in range(len(means) - 1) if middles[k + 1] - middles[k] < 2.0 * WINDOW_S]
+    change = np.array([(turns[k][1] @ turns[k + 1][0]).T @ means[k] - means[k + 1] for k in follows])
+    steady = float(np.sqrt(2.0 * world.gravity * max(float(misfit.mean()), 0.0)))
+    wandering = float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
+    largest = max(2.0 * float(np.sqrt(np.mean(misfit**2))), wandering, steady, settings.imu.accel_bias_sigma)
+    up = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    leaning = float(np.sqrt(np.mean(np.sum((up - up.mean(axis=0)) ** 2, axis=1))))
+    unseen = settings.imu.gyro_bias_sigma * 0.25 * WINDOW_S * leaning  # a bias about the vertical turns the lean
+    sigma = float(np.hypot(largest / world.gravity, unseen))
     out = [
-        Observation("gravity", _up(), a, np.array([a]), (v / np.linalg.norm(v))[None], sigma**2 * np.eye(2), False)
-        for (a, _), v in zip(spans, vectors, strict=True)
+        Observation(
+            "gravity", _up(), t_mid, np.array([t_mid]), (v / np.linalg.norm(v))[None], sigma**2 * np.eye(2), False
+        )
+        for t_mid, v in zip(middles, vectors, strict=True)
     ]
     deg = np.degrees(sigma)
-    return out, Warn(
-        "tilt-from-motion",
-        f"no stop: tilt comes from the accelerometer over {WINDOW_S:.0f} s windows, {deg:.1f} deg each",
-        "stop for 5 s or more at the start and the end of a drive",
-    )
+    message = f"no stop: tilt comes from the accelerometer over windows of about {WINDOW_S:.0f} s, {deg:.1f} deg each"
+    return out, [Warn("tilt-from-motion", message, "stop for 5 s or more at the start and the end of a drive")]
 
 
 def _long_windows(t: Array, segmentation: Segmentation) -> list[tuple[int, int]]:
@@ -156,6 +183,7 @@ def _sun(
     reference = np.broadcast_to(world.sun_n, (len(fixes.t), 3))
     rows = cfg.components or fixes.values.shape[1]
     use = (still | (policy != "stops")) & (np.degrees(np.arccos(np.abs(reference[:, 2]))) >= cfg.min_angle_deg)
+    use &= reference[:, 2] > 0.0
     across = np.hypot(fixes.values[:, 0], fixes.values[:, 1])
     if cfg.field_of_view_deg is not None:
         use &= across <= np.sin(np.radians(min(cfg.field_of_view_deg, 90.0)))
@@ -167,13 +195,25 @@ def _sun(
                  "they are in motion with absolute = stops, out of view, or the sun is near the vertical")
         )  # fmt: skip
     R_sb = rotation.matrix(np.array(cfg.mounting)).T
-    R = np.radians(cfg.sigma_deg) ** 2 * np.eye(2)
     kind = "plane" if rows == 2 else "tangent"
+    t, usable = fixes.t[use], Fixes("sun", fixes.channel, fixes.t[use], fixes.values[use])
+    groups = _grouped(usable, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
+    R = np.radians(cfg.sigma_deg) ** 2 * _inflation(usable, groups) * np.eye(2)
+    directions = reference[use]
     return [
-        Observation("sun", Direction(reference[k], R_sb, kind), fixes.t[k], fixes.t[k : k + 1],
-                    fixes.values[k : k + 1], R, bool(still[k]))
-        for k in np.flatnonzero(use)
-    ]  # fmt: skip
+        Observation(
+            "sun", Direction(directions[g[0]], R_sb, kind), float(t[g].mean()), t[g], usable.values[g], R, still
+        )
+        for g, still in groups
+    ]
+
+
+def _inflation(fixes: Fixes, groups: list[tuple[Ints, bool]]) -> float:
+    """Return the factor on a reading's variance: readings within a second share their error (mount, filter, field)."""
+    if len(groups) < 2:
+        return 1.0
+    every = float(np.median(np.diff([fixes.t[g[0]] for g, _ in groups])))
+    return max(1.0, CORRELATION_S / max(every, 1e-3))
 
 
 def _grouped(fixes: Fixes, segmentation: Segmentation, spacing: float, only_stops: bool) -> list[tuple[Ints, bool]]:
@@ -190,24 +230,23 @@ def _grouped(fixes: Fixes, segmentation: Segmentation, spacing: float, only_stop
 def _compass(
     fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, warnings: list[Warn]
 ) -> list[Observation]:
-    sigma = np.radians(settings.compass.sigma_deg)
+    groups = _grouped(fixes, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
+    R = np.radians(settings.compass.sigma_deg) ** 2 * _inflation(fixes, groups) * np.eye(1)
     return [
-        Observation("compass", BodyHeading(), float(fixes.t[g].mean()), fixes.t[g], fixes.values[g],
-                    np.array([[sigma**2 / len(g)]]), still)
-        for g, still in _grouped(fixes, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
-    ]  # fmt: skip
+        Observation("compass", BodyHeading(), float(fixes.t[g].mean()), fixes.t[g], fixes.values[g], R, still)
+        for g, still in groups
+    ]
 
 
 def _orientation(
     fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, warnings: list[Warn]
 ) -> list[Observation]:
-    sigma = np.radians(settings.orientation.sigma_deg)
-    stated = fixes.sigma if fixes.sigma is not None else np.full((len(fixes.t), 3), sigma)
+    groups = _grouped(fixes, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
+    R = np.radians(settings.orientation.sigma_deg) ** 2 * _inflation(fixes, groups) * np.eye(3)
     return [
-        Observation("orientation", Orientation(), float(fixes.t[g].mean()), fixes.t[g], fixes.values[g],
-                    np.diag(np.mean(stated[g] ** 2, axis=0) / len(g)), still)
-        for g, still in _grouped(fixes, segmentation, settings.smoothing.node_spacing_s, policy == "stops")
-    ]  # fmt: skip
+        Observation("orientation", Orientation(), float(fixes.t[g].mean()), fixes.t[g], fixes.values[g], R, still)
+        for g, still in groups
+    ]
 
 
 def _magnetometer(
@@ -225,7 +264,7 @@ def _magnetometer(
         if len(g):
             mean, when = fixes.values[g].mean(axis=0)[None], s.used_start
             out.append(Observation("magnetometer", sensor, when, np.array([when]), mean, np.array([[place]]), True))
-    if policy == "always" or not segmentation.stops:
+    if policy == "always" or (policy == "auto" and not segmentation.stops):
         moving = np.flatnonzero(~still)
         bins = np.floor(fixes.t[moving])
         inflated = np.array([[place * max(1.0, 2 * FIELD_CORRELATION_S)]])

@@ -149,9 +149,13 @@ def _compass(channel: Channel, settings: Settings, warnings: list[Warn]) -> Valu
 
 
 def _orientation(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    """Body to world; what an IMU says of its own case (``#orientation``) is turned by its mounting."""
     q = np.stack([channel.values[name] for name in COLUMNS["orientation"]], axis=1)
     norms = np.linalg.norm(q, axis=1, keepdims=True)
-    return q / np.where(norms > 0.0, norms, np.nan), None
+    q = q / np.where(norms > 0.0, norms, np.nan)
+    if settings.imu.mounting != "auto" and channel.name.endswith("#orientation"):
+        q = rotation.multiply(q, rotation.conjugate(np.array(settings.imu.mounting)))
+    return q, None
 
 
 def _odometry(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import AttestError
 from ..maths import rotation
-from ..records import COLUMNS, Array, Channel, Ints, Warn
+from ..records import COLUMNS, Array, Bools, Channel, Ints, Warn
 from ..settings import Settings
 from . import units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
+from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
 MIN_ROWS = 50
 MIN_SECONDS = 2.0
@@ -68,27 +69,32 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRow
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
-    t = seconds(stamps_ns, t0_ns)
-    halves = [
-        Channel(
-            part.name,
-            part.kind,
-            part.role,
-            stamps_ns,
-            {n: table[:, COLUMNS["imu"].index(n)] for n in names},
-            part.units,
-        )
-        for part, names in ((parts[0], COLUMNS["gyro"]), (parts[-1], COLUMNS["accel"]))
-    ]
-    accel = units.accelerometer(halves[1], COLUMNS["accel"], t, settings.world.gravity_m_s2, warnings)
-    gyro = units.gyroscope(halves[0], COLUMNS["gyro"], t, accel, warnings)
-    if settings.imu.mounting != "auto":
-        R_bs = rotation.matrix(np.array(settings.imu.mounting))
-        gyro, accel = gyro @ R_bs.T, accel @ R_bs.T
+    gyro, accel = _in_si(parts, stamps_ns, t0_ns, table, settings, warnings)
+    lone = spikes(gyro, GYRO_FLOOR) | spikes(accel, ACCEL_FLOOR)
+    if lone.any():
+        warnings.append(_told_spikes(f"{files}: {parts[0].name}", lone, stamps_ns, t0_ns))
+        stamps_ns, gyro, accel = stamps_ns[~lone], gyro[~lone], accel[~lone]
     holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
     if holes_ns.size:
         warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns)))
     return ImuRows(t0_ns, stamps_ns, gyro, accel, holes_ns, first.rows_in, seconds_in, tuple(warnings))
+
+
+def _in_si(
+    parts: Sequence[Channel], stamps_ns: Ints, t0_ns: int, table: Array, settings: Settings, warnings: list[Warn]
+) -> tuple[Array, Array]:
+    """Return angular rate and specific force in SI and body axes of the raw ``table`` (n, 6)."""
+    t = seconds(stamps_ns, t0_ns)
+    gyro_part, accel_part = (
+        replace(part, stamps_ns=stamps_ns, values={n: table[:, COLUMNS["imu"].index(n)] for n in names})
+        for part, names in ((parts[0], COLUMNS["gyro"]), (parts[-1], COLUMNS["accel"]))
+    )
+    accel = units.accelerometer(accel_part, COLUMNS["accel"], t, settings.world.gravity_m_s2, warnings)
+    gyro = units.gyroscope(gyro_part, COLUMNS["gyro"], t, accel, warnings)
+    if settings.imu.mounting != "auto":
+        R_bs = rotation.matrix(np.array(settings.imu.mounting))
+        gyro, accel = gyro @ R_bs.T, accel @ R_bs.T
+    return gyro, accel
 
 
 def first_stamp(stamps_ns: Ints) -> int:
@@ -154,6 +160,11 @@ def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn])
         inside &= (gyro.stamps_ns <= start) | (gyro.stamps_ns >= end)
     stamps_ns = gyro.stamps_ns[inside]
     origin = int(gyro.stamps_ns[0])
+    floor = 2.0 * float(np.median(np.linalg.norm(accel.values, axis=1)))  # 2 g, in whatever unit
+    lone = spikes(accel.values, floor)  # one would be many samples of the gyro long
+    if lone.any():
+        warnings.append(_told_spikes(accel.channel.name, lone, accel.stamps_ns, origin))
+        accel = replace(accel, stamps_ns=accel.stamps_ns[~lone], values=accel.values[~lone])
     t, ta = seconds(stamps_ns, origin), seconds(accel.stamps_ns, origin)
     force = np.stack([np.interp(t, ta, column) for column in accel.values.T], axis=1)
     lost = int(np.count_nonzero(~inside))
@@ -161,6 +172,12 @@ def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn])
         message = f"{lost} of {inside.size} rows of {gyro.channel.name} dropped: {accel.channel.name} has none there"
         warnings.append(Warn("imu-half-missing", message))
     return stamps_ns, np.concatenate([gyro.values[inside], force], axis=1)
+
+
+def _told_spikes(name: str, lone: Bools, stamps_ns: Ints, t0_ns: int) -> Warn:
+    count, first = int(np.count_nonzero(lone)), seconds(stamps_ns[lone][:1], t0_ns)[0]
+    message = f"{name}: {count} of {lone.size} rows dropped: spikes of a single sample, the first at {first:.2f} s"
+    return Warn("imu-spikes", message, "what is left is used; a loose plug or a lost byte makes such samples")
 
 
 def _told_gaps(files: str, holes: Array) -> Warn:

@@ -45,6 +45,11 @@ def choose(recordings: Sequence[Recording], settings: Settings) -> Cast:
             cast[role] = named[role]
         elif candidates and role != "orientation":
             cast[role] = _best(role, candidates, cast.get("imu"), warnings)
+    warnings += [
+        Warn("file-not-used", f"{recording.source.name}: {_nothing(recording.other)}")
+        for recording in recordings
+        if found and not recording.channels
+    ]
     if not ("imu" in cast or {"gyro", "accel"} <= cast.keys()):
         raise AttestError(*_no_imu(recordings, found, cast))
     if "imu" in cast and not {"gyro", "accel"} & named.keys():
@@ -69,7 +74,9 @@ def joined(recordings: Sequence[Recording]) -> list[Channel]:
         if len(channels) == 1 or (follows and alike):
             found.append(_concatenated(channels))
         else:
-            found += [replace(channel, name=f"{recording.source.stem}:{name}") for recording, channel in parts]
+            named = len({recording.source.stem for recording, _ in parts}) == len(parts)
+            files = [recording.source.stem if named else str(recording.source) for recording, _ in parts]
+            found += [replace(channel, name=f"{file}:{name}") for file, (_, channel) in zip(files, parts, strict=True)]
     return found
 
 
@@ -143,6 +150,9 @@ def _best(role: str, candidates: list[Channel], imu: Channel | None, warnings: l
 
 def _no_imu(recordings: Sequence[Recording], found: Sequence[Channel], cast: Mapping[str, Channel]) -> tuple[str, str]:
     files = ", ".join(str(recording.source) for recording in recordings)
+    if not found:
+        unread = {name: kind for recording in recordings for name, kind in recording.other.items()}
+        return f"{files}: {_nothing(unread)}", _way_out(unread)
     half = next((role for role in ("gyro", "accel") if role in cast), None)
     if half is not None:
         other = "accelerometer" if half == "gyro" else "gyro"
@@ -150,5 +160,21 @@ def _no_imu(recordings: Sequence[Recording], found: Sequence[Channel], cast: Map
             f"{files}: no {other} beside {cast[half].name}",
             f"hand in the file that holds it, or map {other[:5]} to its channel",
         )
-    names = ", ".join(f"{channel.name} ({channel.role or channel.kind})" for channel in found) or "no channel"
+    names = ", ".join(f"{channel.name} ({channel.role or channel.kind})" for channel in found)
     return f"{files}: no IMU; found {names}", "attest needs gyro and accelerometer: map imu to their channel"
+
+
+def _nothing(other: Mapping[str, str], count: int = 5) -> str:
+    """Say that no channel is of a kind that is read, and which there are."""
+    shown = ", ".join(f"{name} {kind}" for name, kind in list(other.items())[:count])
+    more = f" and {len(other) - count} more" if len(other) > count else ""
+    return f"no channel that attest reads; found {shown + more or 'no channel at all'}"
+
+
+def _way_out(other: Mapping[str, str]) -> str:
+    kinds = " ".join(other.values())
+    if "(ros1)" in kinds:
+        return "ROS 1 messages are not read: convert with rosbags-convert to ROS 2"
+    if "(protobuf)" in kinds or "(json)" in kinds:
+        return "protobuf and JSON are not read: record ROS 2 messages, or export a CSV"
+    return "attest needs gyro and accelerometer, in ROS 2 a sensor_msgs/msg/Imu in CDR"

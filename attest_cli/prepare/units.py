@@ -80,7 +80,7 @@ def accelerometer(channel: Channel, names: Sequence[str], t: Array, gravity: flo
         ratio = unit(name)[0] / here
         if 0.8 < still * ratio / gravity < 1.25:
             warnings.append(
-                _told(channel, "accelerometer", quantity.stated, name, f"its steady part is {still / here:.4g}")
+                _told(channel, "accelerometer", quantity.stated, name, f"its steady part is {_digits(still / here)}")
             )
             return quantity.values * ratio
     if still < 0.3 * gravity:
@@ -118,7 +118,7 @@ def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, wa
     elif not quantity.stated and as_taken < AGREEMENT:
         fastest = float(np.max(np.abs(quantity.values), initial=0.0))
         name = "deg/s" if fastest > FASTEST_GYRO else "rad/s"
-        warnings.append(_told(channel, "gyro", "", name, f"its largest value is {fastest:.4g}"))
+        warnings.append(_told(channel, "gyro", "", name, f"its largest value is {_digits(fastest)}"))
         return quantity.values * unit(name)[0]
     return quantity.values
 
@@ -131,7 +131,7 @@ def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -
     if not norms.size or (quantity.stated and FIELD_T[0] < np.median(norms) < FIELD_T[1]):
         return quantity.values
     median, here = float(np.median(norms)), unit(quantity.stated or SI["mag"])[0]
-    fact = f"its median norm is {median / here:.4g}"
+    fact = f"its median norm is {_digits(median / here)}"
     if abs(median / here - 1.0) < 0.1 and float(np.std(norms)) < 0.1 * median:
         warnings.append(_told(channel, "magnetometer", quantity.stated, "a normalised field", fact))
         return quantity.values * (UNIT_FIELD_T / here)
@@ -184,6 +184,11 @@ def _windows(t: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     number = np.floor((t - t[0]) / WINDOW_S)
     starts = np.flatnonzero(np.diff(number, prepend=-1.0))
     return np.append(starts, t.size).astype(np.int64)
+
+
+def _digits(value: float) -> str:
+    """Four digits, never as a power of ten."""
+    return str(np.format_float_positional(value, 4, fractional=False, trim="-"))
 
 
 def _told(channel: Channel, what: str, stated: str, taken: str, fact: str) -> Warn:

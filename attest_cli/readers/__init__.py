@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -109,6 +110,7 @@ def _first_bytes(path: Path) -> bytes:
 
 def _nearby(path: Path) -> str:
     """Name the file in the same folder that was probably meant."""
-    names = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
+    readable = path.parent.is_dir() and os.access(path.parent, os.R_OK)
+    names = [entry.name for entry in path.parent.iterdir()] if readable else []
     near = difflib.get_close_matches(path.name, names, n=1)
     return f"did you mean {path.parent / near[0]}?" if near else "check the name"

@@ -65,11 +65,10 @@ class _Topic:
 
 
 def read(path: Path, settings: Settings) -> Recording:
-    """Read the channels of known types of an MCAP file; see ``readers.read``."""
+    """Read the channels of known types of an MCAP file, if there is any; see ``readers.read``."""
     topics, other = _decode(path)
     read_topics = [topic for topic in topics if topic.rows]
-    if not read_topics:
-        raise AttestError(f"{path}: no channel that attest reads; found {_some(other)}", _way_out(other))
+    other |= {topic.name: f"{topic.kind} (no message)" for topic in topics if not topic.rows}
     warnings: list[Warn] = []
     channels: list[Channel] = []
     for topic in read_topics:
@@ -173,17 +172,3 @@ def _compare_clocks(path: Path, topics: list[_Topic], warnings: list[Warn]) -> N
         if base is not None and abs(offset - offsets[base]) > CLOCK_OFFSET_S:
             message = f"{path.name}: the stamps of {name} stand {offset - offsets[base]:+.3f} s against those of {base}"
             warnings.append(Warn("clock-offset", message, "--time log puts all on the recorder's clock"))
-
-
-def _some(other: dict[str, str], count: int = 5) -> str:
-    shown = ", ".join(f"{name} {kind}" for name, kind in list(other.items())[:count])
-    return (shown + (f" and {len(other) - count} more" if len(other) > count else "")) or "no channel at all"
-
-
-def _way_out(other: dict[str, str]) -> str:
-    kinds = " ".join(other.values())
-    if "(ros1)" in kinds:
-        return "ROS 1 messages are not read: convert with rosbags-convert to ROS 2"
-    if "(protobuf)" in kinds or "(json)" in kinds:
-        return "protobuf and JSON are not read: record ROS 2 messages, or export a CSV"
-    return "attest needs at least a sensor_msgs/msg/Imu in CDR"

@@ -7,11 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from .. import figures
 from ..errors import AttestError
 from ..records import Result
 from ..writers.files import atomic_write
 from . import html
+from .model import Report
 
 FOLDER, HTML = "report", "report.html"
 _PAGE = re.compile(r"\d\d-[a-z0-9-]+\.png")
@@ -41,9 +44,10 @@ def write_pages(
     Raises
     ------
     AttestError
-        If the result names a page that would leave the folder.
+        If the report is not of this shape, or the result names a page that would leave the folder.
     """
-    theme = theme or result.report["settings"]["output.theme"]["value"]
+    drawn = _checked(result, folder)
+    theme = theme or drawn
     pictures: list[html.Picture] = []
     for name, page in figures.pages(result, theme):
         if not _PAGE.fullmatch(name):
@@ -62,3 +66,15 @@ def write_pages(
         if _PAGE.fullmatch(old.name) and old.name not in contents:
             old.unlink()
     return [dict(entry) for entry, _ in pictures]
+
+
+def _checked(result: Result, folder: Path) -> str:
+    """Return the theme in which a report that is one was drawn before."""
+    try:
+        setting = Report.model_validate(result.report).settings.get("output.theme")
+    except ValidationError as fault:
+        first = fault.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        message = f"{folder / 'report.json'}: not a report of this version of attest: {where}: {first['msg'].lower()}"
+        raise AttestError(message, "run attest smooth again") from None
+    return "dark" if setting is not None and setting.value == "dark" else "light"

@@ -67,9 +67,9 @@ def read_stops(path: Path, begin: float, end: float) -> list[tuple[float, float]
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = list(csv.DictReader(stream, skipinitialspace=True))
     except OSError as fault:
-        raise AttestError(f"{path}: {fault.strerror}", "stops.file names a CSV with start_s, end_s") from None
+        raise AttestError(f"{path}: {fault.strerror}", "--stops names a CSV with start_s, end_s") from None
     except (UnicodeDecodeError, csv.Error) as fault:
-        raise AttestError(f"{path}: not a CSV file: {fault}", "stops.file names a CSV with start_s, end_s") from None
+        raise AttestError(f"{path}: not a CSV file: {fault}", "--stops names a CSV with start_s, end_s") from None
     if not rows:
         raise AttestError(f"{path}: no stops in it", "write a line start_s,end_s and one line for each stop")
     stops = []

@@ -120,7 +120,7 @@ def as_segments(still: Bools, t: Array, edges: Ints, shrink_s: float) -> tuple[S
 
 def doubts(still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet: Quiet) -> tuple[Warn, ...]:
     """What the user should know about the stops that were found."""
-    by_hand = "give the stops by hand with stops.file"
+    by_hand = "give the stops by hand with --stops FILE"
     warnings = []
     if not still.any():
         warnings.append(Warn("no-stop", "no stop found in this log", f"if the vehicle did rest, {by_hand}"))
@@ -128,8 +128,9 @@ def doubts(still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet:
         fact = f"stops and motion are hard to tell apart: the calmest motion is {margin:.1f} times the stop threshold"
         warnings.append(Warn("stop-margin", fact, f"check them; wheel odometry helps, or {by_hand}"))
     if still.any() and limits.enter > 1.01 * limits.noise:
-        fact = f"stops are not still: the threshold was raised to {limits.enter / limits.noise:.1f} times the noise's"
-        warnings.append(Warn("stop-shakes", fact, "state the sensors' noise if an engine or wind is no reason"))
+        times = f"{limits.enter / limits.noise:.{0 if limits.enter > 10 * limits.noise else 1}f}"
+        fact = f"the sensors shake at the stops (engine, wind?): the stop threshold is {times} times the noise"
+        warnings.append(Warn("stop-shakes", fact, f"if nothing shook, state the noise under [imu], or {by_hand}"))
     if quiet.start.size == 1 and found.start.size > 1:
         fact = "only one quiet interval supports the gyro's bias, others contradict it"
         warnings.append(Warn("stop-bias", fact, f"a smooth turn can look like a stop: check, or {by_hand}"))

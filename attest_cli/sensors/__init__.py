@@ -1,8 +1,8 @@
 """Measurement models: what a sensor should read at an attitude and bias, and how that changes with the error state.
 
 Symbols: ``r = z - h(x)`` residual, ``H`` Jacobian to ``[dtheta_b, dbias]`` (paper eqs 31-36), ``R`` noise covariance.
-Every model has ``linearise(R_nb, bias, values) -> (r, H)`` over ``m`` samples at once; adding one is a class and a
-line here.
+Every model has ``linearise(R_nb, bias, values) -> (r, H)`` over ``m`` samples at once. A new sensor is a model here and
+its rule in ``nodes/observations.py``: when it counts and how noisy it is.
 """
 
 from __future__ import annotations

@@ -24,6 +24,12 @@ def azimuth(R_nb: Array, vector_b: Array) -> tuple[Array, Array]:
     return np.arctan2(v[:, 1], v[:, 0]), -np.einsum("mi,mij,mjk->mk", gradient, R_nb, skew(vector_b))
 
 
+def near(angles: Array) -> Array:
+    """Return angles (m, ...), the first in [-pi, pi), the others within half a turn of it: they can be averaged."""
+    first = wrap(angles[:1])
+    return np.asarray(first + wrap(angles - first))
+
+
 @dataclass(frozen=True, slots=True)
 class BodyHeading:
     """Compass: values (m, 1) heading of body x, rad clockwise from true north; residual wrapped to [-pi, pi)."""
@@ -38,7 +44,7 @@ class BodyHeading:
         predicted, jacobian = azimuth(R_nb, forward)
         H = np.zeros((len(values), 1, 6))
         H[:, 0, :3] = jacobian
-        return wrap(0.5 * np.pi - values - predicted[:, None]), H
+        return near(0.5 * np.pi - values - predicted[:, None]), H
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,4 +66,4 @@ class FieldHeading:
         predicted, jacobian = azimuth(R_nb, values)
         H = np.zeros((len(values), 1, 6))
         H[:, 0, :3] = jacobian
-        return wrap(self.azimuth_n - predicted)[:, None], H
+        return near(self.azimuth_n - predicted)[:, None], H

@@ -213,7 +213,9 @@ class Sun(Section):
     components: Literal[2, 3] | None = Field(
         None, description="2: projection across the boresight (sensor z); 3: unit vector; none: as the log has"
     )
-    min_angle_deg: Angle = Field(10.0, description="no update nearer to the plane of a 2-D sensor: singular there")
+    min_angle_deg: Angle = Field(
+        10.0, description="no update with the sun nearer to the vertical: its heading is singular there"
+    )
     field_of_view_deg: Degrees | None = Field(None, description="half angle about the boresight; none: no limit")
 
 
@@ -281,7 +283,8 @@ class Smoothing(Section):
         description="two-filter and rts: the same optimum; paper: the literal procedure; none: forward only",
     )
     iterations: Annotated[int | Literal["auto"], BeforeValidator(_passes)] = Field(
-        "auto", description="Gauss-Newton passes; auto: several where the log starts in motion or heading is unknown"
+        "auto",
+        description="Gauss-Newton passes; auto: where a start in motion or far-off passes ask for them",
     )
     node_spacing_s: PositiveSeconds = Field(
         0.1, description="largest step between nodes; error far below the noise at 100 Hz"

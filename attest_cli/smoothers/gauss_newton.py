@@ -44,7 +44,7 @@ def refine(
     Each pass is one block-tridiagonal solve with all marginal covariances. Source: the note, section 5.
     """
     q, bias, P, cross = smoothed.q, smoothed.bias, smoothed.P, smoothed.cross
-    made = 0
+    made, settled = 0, False
     free = UNGATED if start.in_motion else 0  # a wrong start must not refuse the measurements that would right it
     kept = None if innovations is None or free else _kept(innovations)
     while made < passes:
@@ -58,7 +58,7 @@ def refine(
         kept = again
         if settled and not fixed:
             break
-    return replace(smoothed, q=q, bias=bias, P=kalman.symmetric(P), cross=cross, passes=made)
+    return replace(smoothed, q=q, bias=bias, P=kalman.symmetric(P), cross=cross, passes=made, settled=settled or fixed)
 
 
 def _kept(found: Innovations) -> Kept:

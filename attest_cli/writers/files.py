@@ -46,7 +46,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def check_output(path: Path, *, overwrite: bool = False, inputs: Sequence[Path] = ()) -> None:
-    """Refuse an output that exists, that is one of the inputs, or whose folder cannot be written to.
+    """Refuse an output that exists, that is one of the inputs, or whose place cannot be written to.
 
     Raises
     ------
@@ -56,6 +56,8 @@ def check_output(path: Path, *, overwrite: bool = False, inputs: Sequence[Path] 
     for log in inputs:
         if path.exists() and log.exists() and path.samefile(log):
             raise AttestError(f"{path}: output and input are the same file", "choose another name with -o")
+    if path.is_symlink() and not path.exists():
+        raise AttestError(f"{path}: a link to {path.readlink()}, which does not exist", "choose another name with -o")
     filled = path.exists() and (not path.is_dir() or any(path.iterdir()))
     if filled and not overwrite:
         raise AttestError(f"{path}: exists already", "--overwrite replaces it, -o chooses another name")

@@ -22,8 +22,9 @@ OURS = re.compile(r"(track\.(parquet|csv|tum|mcap)|passes\.parquet|innovations\.
 def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Path] = ()) -> Iterator[Path]:
     """Give a temporary folder beside ``output``; it takes the place of ``output`` when all went well.
 
-    With ``overwrite`` the files of an older result are replaced one by one, ``report.json`` last, those of a result
-    that the new one does not have are removed, and files that are not ours stay.
+    Messages from within name the wanted path, not the temporary one. With ``overwrite`` the files of an older result
+    are replaced one by one, ``report.json`` last, those of a result that the new one does not have are removed, and
+    files that are not ours stay.
 
     Raises
     ------
@@ -33,6 +34,9 @@ def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Pat
     check_output(output, overwrite=overwrite, inputs=inputs)
     if output.exists() and not output.is_dir():
         raise AttestError(f"{output}: is a file, a result is a folder", "choose another name with -o")
+    if not _replaceable(output):
+        message = f"{output}: holds files, but no {LAST} of attest: not a result folder"
+        raise AttestError(message, "choose another name with -o, or empty it")
     temporary = output.parent / f".{output.name[:100]}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
     try:
         temporary.mkdir(parents=True)
@@ -41,12 +45,22 @@ def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Pat
             _replace(temporary, output)
         else:
             temporary.rename(output)
+    except AttestError as fault:
+        raise AttestError(fault.message.replace(str(temporary), str(output)), fault.hint) from None
     except OSError as error:
         raise AttestError(
             f"{output}: cannot be written: {error.strerror or error}", "is there room, and is it yours?"
         ) from None
     finally:  # an interrupt leaves nothing behind either
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _replaceable(folder: Path) -> bool:
+    """Tell whether nothing of anybody else stands there: an empty folder, or a result."""
+    if not folder.exists() or not any(folder.iterdir()):
+        return True
+    report = folder / LAST
+    return report.is_file() and b'"attest_version"' in report.read_bytes()[:200]
 
 
 def _replace(new: Path, old: Path) -> None:

@@ -2,8 +2,8 @@
 
     python benchmarks/accuracy/against_gps.py ../shared/data/logs/derived_mcap/test1_ros2_zstd.mcap
 
-The track must come from odometry and IMU alone; its heading is relative, so one turn is fitted. A scale fitted on top shows what
-a wheel calibration would still give.
+The track must come from odometry and IMU alone; its heading is relative, so one turn is fitted. A scale fitted on top
+shows what a wheel calibration would still give.
 """
 
 from __future__ import annotations

@@ -90,6 +90,27 @@ def smooth(attest: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.fixture(scope="session")
+def _runs() -> dict[bytes, Smoothed]:
+    """What was smoothed already, by the content of the drive."""
+    return {}
+
+
+@pytest.fixture
+def smooth_once(
+    smooth: Callable[..., Smoothed], tmp_path: Path, _runs: dict[bytes, Smoothed]
+) -> Callable[[Drive], Smoothed]:
+    """Smooth a drive with its config alone; tests that judge the same drive share the run. Only to be read."""
+
+    def command(drive: Drive) -> Smoothed:
+        key = drive.digest()
+        if key not in _runs:
+            _runs[key] = smooth(drive.write(tmp_path))
+        return _runs[key]
+
+    return command
+
+
+@pytest.fixture(scope="session")
 def samples(root: Path) -> Path:
     """The shipped logs."""
     return root / "sample_logs"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -65,6 +66,13 @@ class Drive:
         """Change the config."""
         assert old in self.config
         return replace(self, config=self.config.replace(old, new))
+
+    def digest(self) -> bytes:
+        """What tells this drive and config from others."""
+        found = hashlib.sha256(self.config.encode())
+        for name, values in self.columns.items():
+            found.update(name.encode() + values.tobytes())
+        return found.digest()
 
     @property
     def t(self) -> Array:

@@ -219,8 +219,10 @@ def test_an_existing_result_is_kept(short: Drive, folder: Path, attest: Callable
     attest("smooth", log, "-o", kept / "below").refused("not a folder")
     attest("smooth", log, "-o", log, "--overwrite").refused("same file")
     assert kept.read_text() == "precious"
+    attest("smooth", log, "--overwrite").refused("drive.attest", "no report.json of attest", "not a result folder")
+    (folder / "drive.attest" / "report.json").write_text('{"attest_version": "0.0.1"}')
     assert attest("smooth", log, "--overwrite").code == 0
-    assert (folder / "drive.attest" / "report.json").is_file()
+    assert (folder / "drive.attest" / "segments.csv").is_file()
     assert (folder / "drive.attest" / "notes.txt").read_text() == "precious"
 
 
@@ -267,13 +269,24 @@ def test_a_folder_that_is_not_ours_is_refused(
     assert list(locked.iterdir()) == []
 
 
-@pytest.mark.xfail(
-    strict=True, reason="finding 13: typer itself refuses an unreadable LOG, exit 2; every other bad file ends with 1"
-)
 def test_a_log_that_is_not_ours_is_refused(short: Drive, nobody: Path, attest: Callable[..., Any]) -> None:
     log = short.write(nobody)
+    stops = text("stops.csv", "start_s,end_s\n0,5\n", nobody)
+    stops.chmod(0o000)
+    attest("smooth", log, "--stops", stops, "-o", nobody / "result").refused("stops.csv: Permission denied")
+    (nobody / "attest.toml").chmod(0o000)
+    attest("smooth", log, "-o", nobody / "result").refused("attest.toml: Permission denied")
     log.chmod(0o000)
-    attest("smooth", log, "-o", nobody / "result").refused("drive.parquet", "Permission denied")
+    other = text("other.toml", "", nobody)
+    (nobody / "attest.toml").unlink()
+    attest("smooth", log, "-c", other, "-o", nobody / "result").refused("drive.parquet", "Permission denied")
+    attest("info", log).refused("drive.parquet", "Permission denied")
+    closed = nobody / "closed"
+    closed.mkdir()
+    closed.chmod(0o000)
+    attest("smooth", closed, "-o", nobody / "result").refused("closed: cannot be read: Permission denied")
+    attest("report", closed).refused("closed")
+    attest("smooth", closed / "drive.csv", "-o", nobody / "result").refused("closed", "Permission denied")
 
 
 SETTINGS: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 import attest_cli
 from attest_cli.__main__ import run
@@ -120,6 +121,9 @@ def test_help_and_version_load_nothing_heavy(arguments: Sequence[str]) -> None:
         (["smooth", "x.csv", "--map", "sun"], "ROLE=CHANNEL"),
         (["smooth", "x.csv", "--start", "soon"], "--start"),
         (["simulate", "boat"], "rover"),
+        (["smooth", "x.csv", "-o", ""], "'--output' / '-o': the name is empty"),
+        (["segment", "x.csv", "-o", " "], "'--output' / '-o': the name is empty"),
+        (["simulate", "rover", "-o", ""], "'--output' / '-o': the name is empty"),
     ],
 )
 def test_usage_is_one_line_and_exit_2(arguments: Sequence[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,6 +157,14 @@ def test_a_fault_is_one_plain_line_and_exit_1(
     pipeline(smooth=raising(fault))
     assert run(["smooth", "x.csv"]) == 1
     assert capsys.readouterr() == ("", says)
+
+
+@pytest.mark.parametrize("command", ["smooth", "info", "segment"])
+def test_the_same_log_twice_is_refused(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, link = table_log(tmp_path / "log.csv"), tmp_path / "link.csv"
+    link.symlink_to(log)
+    assert run([command, str(log), str(link)]) == 1
+    assert capsys.readouterr() == ("", f"attest: {link}: the same file as {log}; name each log once\n")
 
 
 def test_verbose_shows_the_traceback_of_a_defect(
@@ -203,6 +215,16 @@ def test_json_on_stdout_is_the_report(pipeline: Callable[..., None], capsys: pyt
     out, err = capsys.readouterr()
     assert json.loads(out) == report
     assert err == ""
+
+
+@pytest.mark.parametrize(("verdict", "code", "strict"), [("PASS", 0, 0), ("WARN", 0, 3), ("FAIL", 3, 3)])
+def test_a_failed_verdict_ends_with_3_and_a_doubt_does_with_strict(
+    verdict: str, code: int, strict: int, pipeline: Callable[..., None]
+) -> None:
+    check = {"name": "sun", "status": verdict, "fact": "Sun measurements rejected", "detail": "60 of 61"}
+    pipeline(smooth=smoothing(finding(verdict=verdict, checks=[check])))
+    assert run(["smooth", "drive.csv"]) == code
+    assert run(["smooth", "drive.csv", "--strict"]) == strict
 
 
 @pytest.mark.parametrize(
@@ -353,6 +375,24 @@ def test_info_shows_a_log_before_it_refuses_it(tmp_path: Path, capsys: pytest.Ca
     assert "no IMU" in err.splitlines()[-1]
 
 
+def test_info_shows_the_channels_of_a_log_of_which_none_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "tank.mcap"
+    with log.open("wb") as stream:
+        out = Writer(stream)
+        out.start()
+        kind = out.register_schema("Level", "jsonschema", b"{}")
+        out.add_message(out.register_channel("/level", "json", kind), 1, b"{}", 1)
+        out.finish()
+    assert run(["info", str(log)]) == 1
+    table, words = capsys.readouterr()
+    assert re.split(r"  +", table.splitlines()[1]) == ["/level", "Level (json)", "not read"]
+    assert words.splitlines()[-1].startswith(f"attest: {log}: no channel that attest reads; found /level Level (json)")
+    assert run(["info", str(log), "--json"]) == 1
+    assert [channel["name"] for channel in json.loads(capsys.readouterr().out)["channels"]] == ["/level"]
+
+
 def test_simulate_names_what_it_wrote(pipeline: Callable[..., None], capsys: pytest.CaptureFixture[str]) -> None:
     seen: dict[str, Any] = {}
 
@@ -405,10 +445,12 @@ def test_a_reader_that_leaves_is_no_fault() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
-def test_a_full_disk_behind_stdout_is_one_line() -> None:
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["info", "LOG", "--json"], ["info", "LOG"]])
+def test_a_full_disk_behind_stdout_is_one_line(arguments: Sequence[str], tmp_path: Path) -> None:
+    log = table_log(tmp_path / "log.csv")
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "attest_cli", "--version"],
+            [sys.executable, "-m", "attest_cli", *(str(log) if a == "LOG" else a for a in arguments)],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
@@ -416,8 +458,10 @@ def test_a_full_disk_behind_stdout_is_one_line() -> None:
             check=False,
         )
     assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "No space left" in done.stderr
+    words = done.stderr.splitlines()
+    assert len(words) == (2 if "info" in arguments and "--json" not in arguments else 1)
+    assert words[-1].startswith("attest: standard output")
+    assert "No space left" in words[-1]
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -74,6 +74,30 @@ def test_a_clean_log_comes_through_untouched_and_without_a_warning() -> None:
     assert log.history == ("imu: /imu/data (sensor_msgs/msg/Imu), 1000 of 1000",)
 
 
+class TestSpikes:
+    @pytest.mark.parametrize(("column", "value"), [("accel_x", 1e6), ("accel_z", -60.0), ("gyro_y", 30.0)])
+    def test_a_sample_far_out_is_dropped_counted_and_told(self, column: str, value: float) -> None:
+        channel = imu()
+        channel.values[column][[0, 400, 402]] = value
+        log = log_of(channel)
+        (warning,) = log.warnings
+        assert warning.code == "imu-spikes"
+        assert "/imu/data: 3 of 1000 rows dropped" in warning.message
+        assert "the first at 0.00 s" in warning.message
+        assert (log.coverage["rows_used"], log.coverage["rows_dropped"]) == (997, 3)
+        assert T0 + 4_000_000_000 not in log.stamps_ns
+        assert np.abs(log.imu.gyro_b).max() < 1.0
+        assert np.abs(log.imu.accel_b).max() < 11.0
+
+    def test_a_spike_of_a_slow_accelerometer_is_not_spread_over_the_gyro(self) -> None:
+        whole = imu()
+        slow = half(imu(250, start_ns=T0), "accel", T0 + np.arange(250) * 40_000_000)
+        slow.values["accel_y"][100] = 500.0
+        log = log_of(half(whole, "gyro"), slow)
+        assert "/imu/accel: 1 of 250 rows dropped" in next(w.message for w in log.warnings if w.code == "imu-spikes")
+        assert np.abs(log.imu.accel_b[:, 1]).max() < 1.0
+
+
 class TestRoles:
     def test_the_imu_with_most_rows_is_taken_and_both_are_named(self) -> None:
         log = log_of(imu(500, "/a"), imu(1000, "/b"), imu(1000, "/c"))
@@ -117,6 +141,20 @@ class TestRoles:
                 Settings.model_validate({"map": {"sun": "/sun_json"}}),
             )
 
+    def test_a_file_of_which_nothing_is_read_is_named(self) -> None:
+        log = prepare([recording(imu()), recording(name="camera.mcap", other={"/c": "Image (cdr)"})], Settings())
+        (warning,) = log.warnings
+        assert warning.code == "file-not-used"
+        assert warning.message == "camera.mcap: no channel that attest reads; found /c Image (cdr)"
+
+    def test_imus_in_files_of_one_name_can_be_told_apart(self) -> None:
+        files = [recording(imu(seed=k), name=f"{folder}/drive.csv") for k, folder in enumerate("ab")]
+        (warning,) = prepare(files, Settings()).warnings
+        assert all(name in warning.message for name in ("a/drive.csv:/imu/data", "b/drive.csv:/imu/data"))
+        named = prepare(files, Settings.model_validate({"imu": {"channel": "b/drive.csv:/imu/data"}}))
+        np.testing.assert_array_equal(named.imu.gyro_b[:, 0], files[1].channels[0].values["gyro_x"])
+        assert named.warnings == ()
+
     def test_a_bare_vector_plays_the_role_it_is_mapped_to(self) -> None:
         wind = Channel(
             "/dir",
@@ -148,7 +186,7 @@ class TestRoles:
             ((fixes("sun", [1.0], [[0, 0, 1]]),), r"no IMU; found /sun \(sun\)"),
             ((half(imu(), "gyro"),), "no accelerometer beside /imu/gyro"),
             ((half(imu(), "accel"),), "no gyro beside /imu/accel"),
-            ((), "no IMU; found no channel"),
+            ((), "no channel that attest reads; found no channel at all"),
         ],
     )
     def test_without_an_imu_the_log_is_refused(self, channels: tuple[Channel, ...], says: str) -> None:

@@ -74,12 +74,6 @@ def test_matrix_product_and_inverse_are_scipys(rng: np.random.Generator) -> None
     assert np.allclose(np.einsum("kij,kj->ki", rotation.skew(v), p[:, 1:]), np.cross(v, p[:, 1:]), atol=1e-15)
 
 
-def test_compose_is_log_of_the_product(rng: np.random.Generator) -> None:
-    u, v = rng.normal(size=(40, 3)), rng.normal(size=(40, 3))
-    wanted = (Rotation.from_rotvec(u) * Rotation.from_rotvec(v)).as_rotvec()
-    assert np.allclose(rotation.compose(u, v), wanted, atol=1e-13)
-
-
 def test_from_matrix_undoes_matrix_also_at_half_turns(rng: np.random.Generator) -> None:
     q = np.concatenate(
         [random_quaternions(rng, 200), np.eye(4), rotation.normalise(np.array([[0.0, 1, -1, 0], [1e-9, 3, 2, 1]]))]
@@ -161,21 +155,3 @@ def test_wrap_leaves_the_angle_on_the_circle(angle: float) -> None:
     assert -np.pi <= found < np.pi
     assert np.cos(found - angle) == pytest.approx(1.0, abs=1e-12)
     assert np.sin(found - angle) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_wahba_is_scipys_align_vectors(rng: np.random.Generator) -> None:
-    for _ in range(20):
-        R = Rotation.random(rng=rng).as_matrix()
-        body = rng.normal(size=(4, 3))
-        body /= np.linalg.norm(body, axis=1, keepdims=True)
-        reference = body @ R.T + 0.05 * rng.normal(size=(4, 3))
-        weight = rng.uniform(0.5, 2.0, 4)
-        wanted = Rotation.align_vectors(reference, body, weights=weight)[0].as_matrix()
-        assert np.allclose(rotation.mean_direction_rotation(body, reference, weight), wanted, atol=1e-12)
-
-
-def test_wahba_returns_a_rotation_for_mirrored_directions() -> None:
-    body = np.eye(3)
-    R = rotation.mean_direction_rotation(body, np.diag([1.0, 1.0, -1.0]), np.array([3.0, 2.0, 1.0]))
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    assert np.allclose(R, np.eye(3), atol=1e-12)

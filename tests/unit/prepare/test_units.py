@@ -184,3 +184,8 @@ def test_a_column_without_a_unit_has_that_of_its_neighbours() -> None:
         {"gyro_x": "", "gyro_y": "deg/s", "gyro_z": "deg/s"},
     )
     np.testing.assert_allclose(units.in_si(mixed, COLUMNS["gyro"], "rad/s").values, np.pi)
+
+
+@pytest.mark.parametrize(("value", "text"), [(5e-5, "0.00005"), (123456.0, "123500"), (980.665, "980.7"), (0.0, "0")])
+def test_numbers_in_words_have_no_exponent(value: float, text: str) -> None:
+    assert units._digits(value) == text

@@ -13,6 +13,7 @@ from mcap.writer import Writer as PlainWriter
 from mcap_ros2.writer import Writer
 
 from attest_cli.errors import AttestError
+from attest_cli.prepare import prepare
 from attest_cli.readers import read
 from attest_cli.records import Channel, Recording
 from attest_cli.settings import Settings
@@ -234,8 +235,10 @@ def test_a_log_without_usable_channels_names_what_was_found(tmp_path: Path, enco
         kind = out.register_schema("sensor_msgs/Imu", schema, b"{}")
         out.add_message(out.register_channel("/imu", encoding, kind), T0, b"{}", T0)
         out.finish()
-    with pytest.raises(AttestError, match=rf"/imu sensor_msgs/Imu \({encoding}\)"):
-        read(path, Settings())
+    recording = read(path, Settings())
+    assert (recording.channels, recording.other) == ((), {"/imu": f"sensor_msgs/Imu ({encoding})"})
+    with pytest.raises(AttestError, match=rf"no channel that attest reads; found /imu sensor_msgs/Imu \({encoding}\)"):
+        prepare([recording], Settings())
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])

@@ -93,6 +93,12 @@ def test_existing_outputs_and_inputs_are_refused(tmp_path: Path) -> None:
         check_output(path / "inside")
 
 
+def test_a_link_to_nowhere_is_no_output(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    with pytest.raises(AttestError, match="link: a link to nowhere, which does not exist"):
+        check_output(tmp_path / "link", overwrite=True)
+
+
 def test_an_empty_folder_is_free_and_a_filled_one_is_not(tmp_path: Path) -> None:
     folder = tmp_path / "log.attest"
     folder.mkdir()

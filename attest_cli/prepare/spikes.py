@@ -1,0 +1,42 @@
+"""Spikes: single samples far out of their neighbours, and of all that noise, vibration and shocks do around them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from ..records import Array, Bools
+
+WIDTH, AROUND = 5, 9  # samples of the median, and of what else happens there
+FACTOR = 50.0  # of the robust sigma of what the median leaves
+ALONE = 30.0  # times the neighbours: hammer blows on an IMU at rest ring, and reach 19
+ACCEL_FLOOR, GYRO_FLOOR = 20.0, 5.0  # m/s^2, rad/s: less can be a pothole or a turn
+SAMPLED = 20_000  # rows that tell the sigma
+
+
+def spikes(values: Array, floor: float) -> Bools:
+    r"""Tell the rows (n,) of which a column of ``values`` (n, k) is a spike.
+
+    A spike is where :math:`|x - m| > \max(50\,\hat\sigma, \text{floor}, 30\,r)`: :math:`m` is the median of five
+    samples, :math:`\hat\sigma = 1.4826\,\mathrm{med}|x - m|`, and :math:`r` the distance to :math:`m` that all of the
+    eight neighbours but one keep: a shock rings, a spike stands alone (or with one other).
+    """
+    found = np.zeros(len(values), dtype=np.bool_)
+    if len(values) < AROUND:
+        return found
+    for x in np.ascontiguousarray(values.T):
+        if np.ptp(x) <= floor:
+            continue
+        around = sliding_window_view(np.pad(x, AROUND // 2, mode="reflect"), AROUND)
+        inner = slice((AROUND - WIDTH) // 2, (AROUND + WIDTH) // 2)
+        sample = slice(None, None, -(-x.size // SAMPLED))
+        usual = 1.4826 * np.median(np.abs(x[sample] - np.median(around[sample, inner], axis=1)))
+        limit = max(floor, FACTOR * float(usual))
+
+        jump = np.abs(np.diff(x)) > limit  # three of five are that far off, so a direct neighbour is: look only there
+        rows = np.flatnonzero(np.append(jump, False) | np.insert(jump, 0, False))
+        middle = np.median(around[rows, inner], axis=1)
+        apart = np.abs(around[rows] - middle[:, None])
+        others = np.sort(np.delete(apart, AROUND // 2, axis=1), axis=1)
+        found[rows[apart[:, AROUND // 2] > np.maximum(limit, ALONE * others[:, -2])]] = True
+    return found

@@ -1,0 +1,50 @@
+"""Spikes: what stands alone is found; what vibrates, turns fast or rings is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from attest_cli.prepare.spikes import ACCEL_FLOOR, spikes
+
+
+def still(n: int = 2000, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).normal((0.0, 0.0, 9.8), 0.05, (n, 3))
+
+
+@pytest.mark.parametrize("rows", [[0], [1], [1999], [1000], [500, 501], [500, 502], [3, 40, 900]])
+@pytest.mark.parametrize("size", [25.0, -1e9])
+def test_spikes_are_found_and_nothing_else(rows: list[int], size: float) -> None:
+    values = still()
+    values[rows, 1] += size
+    assert np.flatnonzero(spikes(values, ACCEL_FLOOR)).tolist() == rows
+
+
+def test_a_sample_below_the_floor_is_left() -> None:
+    values = still()
+    values[1000, 0] += 15.0
+    assert not spikes(values, ACCEL_FLOOR).any()
+
+
+def test_a_shock_that_rings_is_no_spike() -> None:
+    values, t = still(), np.arange(40)
+    for start in range(100, 1900, 97):
+        values[start : start + 40, 2] += 150.0 * np.exp(-t / 3.0) * np.cos(2.0 * t)
+    assert not spikes(values, ACCEL_FLOOR).any()
+
+
+@pytest.mark.parametrize("sigma", [3.0, 30.0])
+def test_rough_ground_is_no_spike(sigma: float) -> None:
+    values = np.random.default_rng(4).standard_t(4, (50_000, 3)) * sigma
+    assert not spikes(values, ACCEL_FLOOR).any()
+
+
+def test_a_step_stays() -> None:
+    values = still(400)
+    values[200:] += 80.0
+    assert not spikes(values, ACCEL_FLOOR).any()
+
+
+@pytest.mark.parametrize("n", [0, 1, 8])
+def test_a_log_too_short_has_none(n: int) -> None:
+    assert spikes(np.full((n, 3), 1e9), 1.0).tolist() == [False] * n
