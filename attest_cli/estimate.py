@@ -20,7 +20,7 @@ from .smoothers import SMOOTHERS, gauss_newton
 from .world import find_world
 
 Progress = Callable[[str, float], None]
-AUTO_PASSES = 6
+AUTO_PASSES = 12
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
 FEW_MOTIONS = 4

@@ -19,6 +19,7 @@ from ..sensors.heading import BodyHeading, FieldHeading
 from ..sensors.orientation import Orientation
 
 PRIOR_FACTOR = 10.0  # prior sigma over the alignment's own: its measurements are used again by the filter
+WINDOW_FACTOR = 2.0  # without a stop: its windows are vague, and a wide-open tilt lets headings claim to know it
 LEAST_PRIOR = np.radians(2.0)
 MOST_PRIOR = np.radians(60.0)
 BIAS_DRIFT = 5e-4  # rad/s: how fast the start is lost where no stop knows the bias
@@ -75,7 +76,8 @@ def align(nodes: Nodes, bias_sigma: float, magnetic: bool) -> Start:
     in_motion = bool(nodes.moving[nodes.t <= nodes.t[0] + STANDING_S].all())
     tilt0 = sigma if from_orientation else float(np.sqrt(level[0].noise[0, 0]))
     bias_prior, carried = _carried(nodes, age, bias_sigma) if in_motion else (bias_sigma, 0.0)
-    prior = [float(np.clip(PRIOR_FACTOR * np.hypot(s, carried), LEAST_PRIOR, MOST_PRIOR)) for s in (tilt0, sigma)]
+    factor = WINDOW_FACTOR if nodes.moving.all() else PRIOR_FACTOR
+    prior = [float(np.clip(factor * np.hypot(s, carried), LEAST_PRIOR, MOST_PRIOR)) for s in (tilt0, sigma)]
     yaw = DATUM if heading == "relative" else prior[1]
     P = np.zeros((6, 6))
     R = rotation.matrix(q0)

@@ -121,8 +121,8 @@ def gravity_in_windows(
 
     The mean acceleration of a window is what speed it gained over its length. Its size is not known: sigma is the
     largest of twice the misfit of the mean's norm to gravity, the change from window to window, and the steady
-    acceleration :math:`\sqrt{2g\,\overline{|f|-g}}` that a mean misfit would need; to it comes what an unseen gyro bias
-    about the vertical makes of the vehicle's lean within a window.
+    acceleration :math:`\sqrt{2g\,\overline{|f|-g}}` that a mean misfit beyond the accelerometer's bias would need; to
+    it comes what an unseen gyro bias about the vertical makes of the vehicle's lean within a window.
     """
     t, bias = log.imu.t, reference_bias(log, segmentation, log.imu.t)
     middles, means, turns = [], [], []
@@ -140,7 +140,8 @@ def gravity_in_windows(
     misfit = np.linalg.norm(vectors, axis=1) - world.gravity
     follows = [k for k in range(len(means) - 1) if middles[k + 1] - middles[k] < 2.0 * WINDOW_S]
     change = np.array([(turns[k][1] @ turns[k + 1][0]).T @ means[k] - means[k + 1] for k in follows])
-    steady = float(np.sqrt(2.0 * world.gravity * max(float(misfit.mean()), 0.0)))
+    excess = float(misfit.mean()) - 3.0 * settings.imu.accel_bias_sigma
+    steady = float(np.sqrt(2.0 * world.gravity * max(excess, 0.0)))
     wandering = float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
     largest = max(2.0 * float(np.sqrt(np.mean(misfit**2))), wandering, steady, settings.imu.accel_bias_sigma)
     up = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

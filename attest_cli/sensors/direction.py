@@ -55,4 +55,8 @@ class Direction:
             return values - predicted_s, H
         across = tangent_basis(predicted_s)
         H[:, :, :3] = across @ jacobian
-        return np.einsum("mki,mi->mk", across, values - predicted_s), H
+        r = np.einsum("mki,mi->mk", across, values)
+        behind = np.sum(values * predicted_s, axis=1) < 0.0
+        if behind.any():  # else the residual would vanish at the antipode, and a body on its head would fit
+            r[behind] *= (2.0 / np.maximum(np.linalg.norm(r[behind], axis=1), 1e-9) - 1.0)[:, None]
+        return r, H

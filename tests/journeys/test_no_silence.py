@@ -233,7 +233,9 @@ def test_advice_can_be_followed(whole: Drive, smooth_once: Callable[..., Any]) -
 
 
 def test_a_sensor_that_was_all_rejected_is_not_listed(whole: Drive, tmp_path: Path, smooth: Callable[..., Any]) -> None:
-    result = smooth(whole.told(SUN, sun_at(30.0, 0)).without("compass_deg").write(tmp_path))
+    result = smooth(whole.told(SUN, sun_at(30.0, 0)).without("compass_deg").write(tmp_path), codes=(3,))
+    assert result.report["verdict"] == "FAIL"
+    assert result.report["heading"] == "relative"
     assert result.report["statistics"]["innovations"]["sun"]["used"] == 0
     assert "sun sensor" not in result.report["input"]["sensors"]
 

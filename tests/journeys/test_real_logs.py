@@ -37,10 +37,10 @@ def test_husky_with_gravity_on_y(shared_data: Path, smooth: Callable[..., Any]) 
 
 
 def test_phidgets_upside_down(shared_data: Path, smooth: Callable[..., Any]) -> None:
-    result = smooth(real(shared_data, "logs/derived_mcap/phidgets_imu_upside_down_ros2_zstd.mcap"))
+    result = smooth(real(shared_data, "logs/derived_mcap/phidgets_imu_upside_down_ros2_zstd.mcap"), codes=(3,))
     track = read_track(result.folder)
-    assert result.report["heading"] == "magnetic"
-    assert np.median(np.abs(track["roll_deg"])) > 120.0  # the IMU hangs upside down
+    assert np.abs(track["roll_deg"]).min() > 170.0  # the IMU hangs upside down and turns about the vertical only
+    assert result.report["verdict"] == "FAIL"  # its magnetometer is not calibrated: it contradicts the gyro
 
 
 @pytest.mark.parametrize(
