@@ -13,6 +13,7 @@ from ..nodes import Nodes
 from ..records import Array, Innovations, Smoothed
 
 UNGATED = 3  # passes that use every measurement, where the log starts in motion
+FAR_RAD = 0.05  # defects beyond this (gaps) turn the linearisation; the others are gyro noise
 CONVERGED = 1e-3  # of a sigma: the largest change of any state in the last pass
 
 Kept = set[tuple[int, str]]  # (node, role) of the measurements in use
@@ -87,13 +88,17 @@ def _normal_equations(
     u = np.empty((n - 1, 6))
     u[:, :3] = rotation.log_quaternion(rotation.multiply(rotation.conjugate(q[1:]), rotation.multiply(q[:-1], turns)))
     u[:, 3:] = bias[:-1] - bias[1:]
+    ahead = np.tile(np.eye(6), (n - 1, 1, 1))  # derivative of u to the later error
+    far = np.flatnonzero(np.linalg.norm(u[:, :3], axis=1) > FAR_RAD)
+    ahead[far, :3, :3] = rotation.inverse_right_jacobian(-u[far, :3])
+    Phi[far, :3] = rotation.inverse_right_jacobian(u[far, :3]) @ Phi[far, :3]
     weight = kalman.symmetric(np.linalg.inv(inc.Q))
-    PhiW = Phi.swapaxes(1, 2) @ weight
+    PhiW, aheadW = Phi.swapaxes(1, 2) @ weight, ahead.swapaxes(1, 2) @ weight
     diagonal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
     diagonal[:-1] += PhiW @ Phi
-    diagonal[1:] += weight
+    diagonal[1:] += aheadW @ ahead
     right[:-1] -= np.einsum("kij,kj->ki", PhiW, u)
-    right[1:] += np.einsum("kij,kj->ki", weight, u)
+    right[1:] += np.einsum("kij,kj->ki", aheadW, u)
     _add_prior(diagonal, right, start, q[0], bias[0])
     for node, group in zip(nodes.measured.tolist(), nodes.measurements, strict=True):
         R_nb = rotation.matrix(q[node])
@@ -104,7 +109,7 @@ def _normal_equations(
             HtW = np.linalg.solve(m.noise, H).T
             diagonal[node] += HtW @ H
             right[node] += HtW @ r
-    return kalman.symmetric(diagonal), -PhiW, right
+    return kalman.symmetric(diagonal), -PhiW @ ahead, right
 
 
 def _add_prior(diagonal: Array, right: Array, start: Start, q: Array, bias: Array) -> None:

@@ -66,7 +66,7 @@ CASES: dict[str, tuple[Callable[[Drive], Drive], set[str], str, bool]] = {
     "gap of 2 s in a stop": (lambda d: without_span(d, 58, 60), {"imu-gap", "odometry-silent"}, "WARN", False),
     "gap of 60 s, no heading": (
         lambda d: without_span(d, 90, 150).without(*HEADING),
-        {"imu-gap", "no-heading", "odometry-silent"},
+        {"imu-gap", "no-heading", "odometry-silent", "not-settled"},
         "WARN",
         True,
     ),
