@@ -12,7 +12,7 @@ import numpy as np
 from .maths import rotation
 from .nodes.noise import Noise, stop_ranges
 from .position import Position
-from .records import Array, Bools, FilterRun, Log, Segment, Segmentation, Smoothed
+from .records import Array, Bools, Log, Segment, Segmentation
 from .track import world_variance
 
 VAGUE_RAD = np.radians(10.0)  # passes less sure than this of their difference cannot be compared
@@ -163,50 +163,46 @@ def drive_sigma(P: Array, n_r: float, n_w: float, t: Array) -> Array:
     return np.sqrt(np.linalg.eigvalsh(grown)[:, -1] + n_r * t + n_w * t**3 / 3)
 
 
-def longest_drive(run: FilterRun, segmentation: Segmentation, noise: Noise, threshold: float) -> float | None:
+def longest_drive(t: Array, forward: Pass, segmentation: Segmentation, noise: Noise, threshold: float) -> float | None:
     """Return the longest drive, s, whose smoothed middle stays below ``threshold``, rad, between stops as good as
     this log's.
 
     Half-way both passes are equally sure, so the smoothed variance is half the forward one at half the time.
     """
-    ends = [int(np.searchsorted(run.t, s.used_end)) for s in segmentation.stops]
+    ends = [int(np.searchsorted(t, s.used_end)) for s in segmentation.stops]
     if not ends:
         return None
-    P = np.median(run.chain.P[np.minimum(ends, len(run.t) - 1)], axis=0)
+    P = np.median(forward.P[np.minimum(ends, len(t) - 1)], axis=0)
     lengths = np.geomspace(1.0, LONGEST_S, 400)
     below = drive_sigma(P, noise.n_r, noise.n_w, 0.5 * lengths) / np.sqrt(2.0) < threshold
     return float(lengths[np.flatnonzero(below)[-1]]) if below.any() else 0.0
 
 
 def stop_advice(
-    run: FilterRun, smoothed: Smoothed, segmentation: Segmentation, noise: Noise, threshold_deg: float
+    t: Array, moving: Bools, passes: Mapping[str, Pass], segmentation: Segmentation, noise: Noise, threshold_deg: float
 ) -> dict[str, Any]:
     """Return where the rover should have stopped (the paper's flow chart): which axis, which motions, how long a
     drive may be.
     """
-    forward = Pass(run.q, run.bias, run.chain.P).sigma_n()
-    sigma = np.degrees(forward)
-    moving = run.moving
+    sigma = np.degrees(passes["forward"].sigma_n())
     over = moving & (sigma.max(axis=1) > threshold_deg)
     heading = bool(np.any(over & (sigma[:, 2] >= sigma[:, :2].max(axis=1))))
-    longest = longest_drive(run, segmentation, noise, np.radians(threshold_deg))
+    longest = longest_drive(t, passes["forward"], segmentation, noise, np.radians(threshold_deg))
     lines = []
     for stop, motion in pairwise(segmentation.segments):
         if stop.motion or not motion.motion:
             continue  # where no stop stands before, none can be advised
-        late = np.flatnonzero(over & (run.t >= motion.start) & (run.t <= motion.end))
-        at_stop = np.flatnonzero((run.t >= stop.used_start) & (run.t <= stop.used_end))
+        late = np.flatnonzero(over & (t >= motion.start) & (t <= motion.end))
+        at_stop = np.flatnonzero((t >= stop.used_start) & (t <= stop.used_end))
         if len(late) and len(at_stop) and sigma[at_stop[-1]].max() < threshold_deg:
-            lines.append(f"segment {motion.index}: stop {_clock(run.t[late[0]] - motion.start)} after it began")
+            lines.append(f"segment {motion.index}: stop {_clock(t[late[0]] - motion.start)} after it began")
     return {
         "threshold_deg": threshold_deg,
         "axis": "heading" if heading or not over.any() else "tilt",
         "lines": lines,
-        "share_over": float(_share(run.t, over) / max(_share(run.t, moving), 1e-9)),
+        "share_over": float(_share(t, over) / max(_share(t, moving), 1e-9)),
         "longest_s": longest,
-        "smoothed_below": bool(
-            np.all(np.degrees(Pass(smoothed.q, smoothed.bias, smoothed.P).sigma_n()) <= threshold_deg)
-        ),
+        "smoothed_below": bool(np.all(np.degrees(passes["smoothed"].sigma_n()) <= threshold_deg)),
     }
 
 

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from . import filters
-from .filters.alignment import Start, align
+from .assess import Pass
+from .filters import named
+from .filters.alignment import Start
 from .maths import rotation
-from .maths.consistency import upper_quantile
-from .nodes import Nodes, build_nodes
+from .nodes import Nodes
 from .nodes.noise import Noise, find_noise
-from .nodes.observations import observe
-from .records import FilterRun, Log, Segmentation, Smoothed, Warn, World
+from .records import Array, Bools, FilterRun, Ints, Log, Segmentation, Smoothed, Warn, World
 from .settings import Settings
-from .smoothers import SMOOTHERS, gauss_newton
+from .smoothers import SMOOTHERS, backward_estimate, gauss_newton, thinned
+from .track import full_rate
 from .world import find_world
 
 Progress = Callable[[str, float], None]
 AUTO_PASSES = 12
-MOST_RAISES = 6  # of the gyro's noise in motion
-LEAST_RAISE = 1.1
-FEW_MOTIONS = 4
 BENT_SHARE = 1e-3  # of the nodes
 DOUBTFUL_SHARE = 0.02  # of the measurements refused: the trajectory may be the one at fault
-UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
-SURE = 1e-4  # chance of a misfit taken as proof
 
 
 def silent(stage: str, share: float) -> None:
@@ -36,74 +32,99 @@ def silent(stage: str, share: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What the filters made of a log: the world and noise they assumed, the nodes, the passes over them."""
+    """What the filters made of a log.
+
+    ``world`` and ``noise`` they assumed; the ``forward`` run with its ``nodes`` (None: the samples are its nodes); at
+    the m nodes that are told of: ``smoothed``, the three ``passes``, ``moving``, and the ``errors`` that a position
+    counts on; ``q`` (n, 4) the smoothed attitude at the IMU samples.
+    """
 
     world: World
     noise: Noise
-    nodes: Nodes
     forward: FilterRun
+    nodes: Nodes | None
     smoothed: Smoothed
+    errors: Smoothed
+    passes: Mapping[str, Pass]
+    moving: Bools
+    q: Array
     warnings: tuple[Warn, ...]
 
 
 def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
     """Run the forward filter and the smoother over a log.
 
-    Nodes, alignment, forward, backward, Gauss-Newton where it pays; a log without a stop twice, for its accelerometer
-    windows are turned by a gyro whose bias the first round finds.
+    Forward, backward, Gauss-Newton where it pays; a log without a stop twice, for its accelerometer windows are turned
+    by a gyro whose bias the first round finds.
     """
-    found = _estimate(log, segmentation, settings, progress)
-    if segmentation.stops:
-        return found
-    return _estimate(log, replace(segmentation, bias_b=found.smoothed.bias.mean(axis=0)), settings, progress)
+    found, smoothed = _solve(log, segmentation, settings, progress)
+    if not segmentation.stops and found.nodes is not None:
+        again = replace(segmentation, bias_b=smoothed.bias.mean(axis=0))
+        found, smoothed = _solve(log, again, settings, progress)
+    return _told(log, found, smoothed, find_world(log, settings), settings)
 
 
-def _estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress) -> Estimate:
-    world, noise = find_world(log, settings), find_noise(log, segmentation, settings)
-    observations, warnings = observe(log, segmentation, world, noise, settings)
-    nodes = build_nodes(log, segmentation, observations, noise, settings)
-    start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=world.field_n is None)
+def _solve(
+    log: Log, segmentation: Segmentation, settings: Settings, progress: Progress
+) -> tuple[filters.Forward, Smoothed]:
+    """Run the filter forward and the smoother over its run."""
     progress("forward filter", 0.3)
-    run_filter = filters.load(settings.smoothing.filter)
-    nodes, forward, raised = consistent_run(run_filter, nodes, start, settings.smoothing.gate_probability)
-    if raised > 1.0:
-        noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
-        message = f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit"
-        hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
-        warnings.append(Warn("gyro-noise-raised", message, hint))
-    forward = replace(forward, heading=_heading(forward))
+    noise = find_noise(log, segmentation, settings)
+    drive = filters.Drive(log, segmentation, find_world(log, settings), noise, settings)
+    found = filters.load(settings.smoothing.filter)(drive)
     progress("smoothing", 0.5)
-    smoothed = smooth_run(nodes, start, forward, settings)
+    if found.nodes is not None and found.start is not None:
+        return found, smooth_run(found.nodes, found.start, found.run, settings)
+    return found, SMOOTHERS[settings.smoothing.smoother](found.run)
+
+
+def _told(log: Log, found: filters.Forward, smoothed: Smoothed, world: World, settings: Settings) -> Estimate:
+    """Bring the passes to full rate and to the nodes that are told of, and say what the filter left open."""
+    run, cfg = found.run, settings.smoothing
+    q = rotation.continuous(smoothed.q) if found.nodes is None else full_rate(found.nodes, smoothed, log.imu.t)
+    # the literal procedure counts the past twice: the exact covariance is no larger a claim
+    errors = SMOOTHERS["two-filter"](run) if cfg.smoother == "paper" else smoothed
+    rows = _rows(run, cfg.node_spacing_s) if found.nodes is None else np.arange(len(run.t))
+    forward = SMOOTHERS["none"](run)
+    passes = {
+        "forward": Pass(forward.q[rows], forward.bias[rows], forward.P[rows]),
+        "backward": Pass(*(values[rows] for values in backward_estimate(run, smoothed.information))),
+    }
+    if found.nodes is None:
+        smoothed = thinned(smoothed, rows)
+        errors = smoothed
+    passes["smoothed"] = Pass(smoothed.q, smoothed.bias, smoothed.P)
+    warnings = (*found.warnings, *_warnings(run, smoothed, settings, over_nodes=found.nodes is not None))
+    return Estimate(
+        world, found.noise, run, found.nodes, smoothed, errors, passes, run.moving[rows], q, warnings
+    )  # fmt: skip
+
+
+def _rows(run: FilterRun, spacing: float) -> Ints:
+    """Return the samples that are told of: at most ``spacing`` apart, and both sides of every stop's edges."""
+    edges = np.flatnonzero(np.diff(run.moving.astype(np.int8)))
+    slots = np.floor((run.t - run.t[0]) / spacing + 1e-6)
+    first = np.flatnonzero(np.diff(slots, prepend=-1.0))
+    return np.unique(np.concatenate([first, edges, edges + 1, [len(run.t) - 1]]))
+
+
+def _warnings(run: FilterRun, smoothed: Smoothed, settings: Settings, *, over_nodes: bool) -> list[Warn]:
+    """Return what the user should know of the estimate."""
+    told, cfg = [], settings.smoothing
     if not smoothed.settled:
         hint = "compare --iterations 20; a log whose heading or tilt is hardly known may have two answers"
-        warnings.append(Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", hint))
-    return Estimate(world, noise, nodes, forward, smoothed, (*warnings, *_heading_warnings(forward)))
-
-
-def consistent_run(
-    run_filter: filters.Filter, nodes: Nodes, start: Start, gate: float
-) -> tuple[Nodes, FilterRun, float]:
-    """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows, raise
-    the gyro's variance until it fits. Return nodes and run, and the factor.
-
-    Gravity at a stop that follows a motion is the one measurement that cannot be an outlier: rejecting it would keep a
-    wrong attitude with a small sigma. Its mean NIS over the motions is the factor.
-    """
-    forward, raised = run_filter(nodes, start, gate), 1.0
-    for _ in range(MOST_RAISES):
-        found = forward.innovations
-        at_stops = (found.role == "gravity") & ~nodes.moving[found.node]
-        after = at_stops & (found.t > found.t[at_stops].min(initial=np.inf))
-        nis = np.sort(found.nis[after])[: -1 if after.sum() >= FEW_MOTIONS else None]  # one odd stop proves nothing
-        freedom = 2 * len(nis)
-        if freedom == 0 or nis.sum() <= upper_quantile(freedom, SURE):
-            break
-        factor = min(float(nis.sum()) / freedom, UNKNOWN_RAD**2 / nodes.motion_variance())
-        if factor < LEAST_RAISE:
-            break
-        nodes, raised = nodes.raised(factor), raised * factor
-        forward = run_filter(nodes, start, gate)
-    return nodes, forward, raised
+        told.append(Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", hint))
+    if run.absent:
+        told.append(
+            Warn("not-estimated", f"{named(cfg.filter)} does not estimate {' and '.join(run.absent)}",
+                 "what stands there is dead reckoning or level, with the sigma of that; --filter indirect estimates all")
+        )  # fmt: skip
+    elif run.heading == "relative":
+        hint = "add a compass, a sun sensor or a magnetometer"
+        told.append(Warn("no-heading", "no heading sensor: yaw is relative to the start", hint))
+    if not over_nodes and cfg.iterations != "auto":
+        told.append(Warn("no-iterations", f"--iterations has no meaning with --filter {cfg.filter}: not used"))
+    return told
 
 
 def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Settings) -> Smoothed:
@@ -135,19 +156,3 @@ def doubtful(forward: FilterRun, smoothed: Smoothed) -> bool:
     least = np.sqrt(np.einsum("kii->ki", smoothed.P[:, :3, :3]).min(axis=1))
     bent = 0.5 * np.linalg.norm(moved_b, axis=1) * tilt > least
     return forward.start_in_motion or refused > DOUBTFUL_SHARE or float(np.mean(bent)) > BENT_SHARE
-
-
-def _heading(forward: FilterRun) -> str:
-    """Return the kind of heading: relative where every measurement of it was refused."""
-    found = forward.innovations
-    seen = set(found.role[found.used].tolist())
-    return forward.heading if seen & {"sun", "compass", "magnetometer", "orientation"} else "relative"
-
-
-def _heading_warnings(forward: FilterRun) -> tuple[Warn, ...]:
-    if forward.heading == "relative":
-        return (
-            Warn("no-heading", "no heading sensor: yaw is relative to the start",
-                 "add a compass, a sun sensor or a magnetometer"),
-        )  # fmt: skip
-    return ()

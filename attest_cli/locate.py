@@ -13,14 +13,12 @@ from . import mounting, position
 from .errors import AttestError
 from .estimate import Estimate
 from .maths import rotation
-from .mounting import Mounting
+from .mounting import Mounting, up_at_stops, upright
 from .position import Position
 from .records import Array, Fixes, Log, Segmentation, Warn
 from .settings import Settings
-from .smoothers import SMOOTHERS
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
 ASKEW_DEG = 15.0  # wheels that drive this far from the stated forward axis contradict it
 DEAD_M_S = 1e-3
 HANGING = -0.7  # up along the IMU's z axis below which it points down
@@ -38,15 +36,10 @@ class Vehicle:
 
 
 def locate(
-    log: Log, segmentation: Segmentation, est: Estimate, q: Array, settings: Settings
+    log: Log, segmentation: Segmentation, est: Estimate, settings: Settings
 ) -> tuple[Position | None, Vehicle, list[Warn]]:
-    """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position.
-
-    Parameters
-    ----------
-    q : (n, 4) smoothed attitude of the IMU at its samples
-    """
-    mode, odometry = settings.smoothing.position, log.fixes.get("odometry")
+    """Find how the IMU sits in the vehicle, where odometry shows it, and integrate the position."""
+    q, mode, odometry = est.q, settings.smoothing.position, log.fixes.get("odometry")
     if mode == "odometry" and odometry is None:
         raise AttestError(f"{log.sources[0].name}: no odometry for the position", "use --position auto")
     told = _hanging(log, segmentation)
@@ -56,20 +49,17 @@ def locate(
         wheels, doubts = _trusted(log, segmentation, odometry, seat, settings)
         told += doubts
     vehicle = _vehicle(seat if wheels is not None else None, settings)
-    errors = est.smoothed
-    if (
-        settings.smoothing.smoother == "paper"
-    ):  # its covariance counts the past twice; the exact one is no larger a claim
-        errors = SMOOTHERS["two-filter"](est.forward)
+    if est.smoothed.p is not None and mode in {"auto", "navigation"}:
+        return position.navigated(log.imu.t, est.smoothed, segmentation), vehicle, told
     if wheels is not None and mode in {"auto", "odometry"}:
         q_bv = seat.q_bv if seat is not None and settings.imu.mounting == "auto" and seat.certain else IDENTITY
-        found = position.odometry_position(log.imu, q, q_bv, errors, segmentation, wheels, settings, log.gaps)
+        found = position.odometry_position(log.imu, q, q_bv, est.errors, segmentation, wheels, settings, log.gaps)
         return found, vehicle, told
     if mode == "none" or not segmentation.stops:
         return None, vehicle, told
     literal = mode == "literal"
     found = position.inertial_position(
-        log.imu, q, est.nodes, errors, segmentation, settings, est.world.gravity, literal
+        log.imu, q, est.errors, segmentation, settings, est.world.gravity, est.noise.accel_density, log.gaps, literal
     )
     return found, vehicle, told
 
@@ -88,7 +78,7 @@ def _trusted(
             else "check its unit, sign and channel; --position odometry uses it"
         )
         told.append(Warn("odometry-contradicts", doubt, hint))
-    elif settings.imu.mounting == "auto" and (seat is None or not seat.certain) and not _upright(segmentation, log):
+    elif settings.imu.mounting == "auto" and (seat is None or not seat.certain) and not upright(segmentation, log.imu):
         doubt = "odometry not used: the drive does not show how the IMU sits in the vehicle"
         told.append(Warn("odometry-not-used", doubt, "give [imu] mounting"))
     if doubt and not forced:
@@ -144,19 +134,9 @@ def _vehicle(seat: Mounting | None, settings: Settings) -> Vehicle:
     return Vehicle(seat.q_bv, seat.sigma, told)
 
 
-def _up(segmentation: Segmentation, log: Log) -> Array:
-    up = np.mean([log.imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
-    return np.asarray(up / np.linalg.norm(up))
-
-
-def _upright(segmentation: Segmentation, log: Log) -> bool:
-    """Return whether gravity at the stops lies along the IMU's z axis: then its x axis is taken as forward."""
-    return bool(segmentation.stops) and bool(_up(segmentation, log)[2] > np.cos(np.radians(UPRIGHT_DEG)))
-
-
 def _hanging(log: Log, segmentation: Segmentation) -> list[Warn]:
     """Say where the IMU's z axis points down: its track stands on its head, which a reader may not expect."""
-    if not segmentation.stops or _up(segmentation, log)[2] > HANGING:
+    if not segmentation.stops or up_at_stops(segmentation, log.imu)[2] > HANGING:
         return []
     return [
         Warn("imu-upside-down", "the IMU's z axis points down: it hangs upside down, or is a z-down (NED) sensor",

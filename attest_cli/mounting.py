@@ -21,6 +21,8 @@ LEAST_SLOPE = np.radians(0.2)
 SMOOTH_BLOCKS = 5  # blocks on either side whose mean is taken away
 SIGNIFICANT = 100.0  # drop of the weighted misfit that a lag must bring: ten sigma, for blocks are not independent
 NEAR_DEG = 3.0  # axes that agree to this, or to three sigma, are taken as equal
+UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
+MAD = 1.4826  # median absolute deviation to sigma
 WRONG_SCALE = 0.25  # wheel speed this far from what the accelerometer shows contradicts it
 
 
@@ -76,11 +78,11 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     steps = 0.5 * (a_n[1:] + a_n[:-1]) * np.diff(imu.t)[:, None]
     speed_n = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])[near]
     wanted = _high_pass(_change(_means(speed_n, block), owner), owner).reshape(-1)
-    R = rotation.matrix(q[near])
+    R, noise = rotation.matrix(q[near]), _noise(t, odometry.values[at, 0], block)
 
     def fit(lag: float) -> tuple[Array, float, Array]:
         s = np.interp(t, odometry.t - lag, odometry.values[:, 0])
-        return _fit(_high_pass(_change(_means(R * s[:, None, None], block), owner), owner), wanted)
+        return _fit(_high_pass(_change(_means(R * s[:, None, None], block), owner), owner), wanted, noise)
 
     u, misfit, covariance = fit(0.0)
     # whole periods only: between samples interpolation quietens the wheels, which would look like a better lag
@@ -172,10 +174,26 @@ def _high_pass(values: Array, owner: Ints) -> Array:
     return out
 
 
-def _fit(regressor: Array, wanted: Array) -> tuple[Array, float, Array]:
-    """Return forward axis (3,), misfit and covariance (3, 3) of the least squares."""
+def _noise(t: Array, speed: Array, block: Ints) -> float:
+    """Return the variance that the noise of the wheels adds to a change between block means, m^2/s^2.
+
+    White noise of a sample from its second differences (their variance is six times it), robustly.
+    """
+    use = (block[:-2] >= 0) & (block[:-2] == block[2:])
+    if not use.any():
+        return 0.0
+    second = np.abs(speed[2:] - 2.0 * speed[1:-1] + speed[:-2])[use]
+    per_block = BLOCK_S / float(np.median(np.diff(t)))
+    return 2.0 * (MAD * float(np.median(second))) ** 2 / 6.0 / max(per_block, 1.0)
+
+
+def _fit(regressor: Array, wanted: Array, noise: float) -> tuple[Array, float, Array]:
+    """Return forward axis (3,), misfit and covariance (3, 3) of the least squares; ``noise`` of the wheels in the
+    regressor, which would shorten the axis, is taken out of the normal equations.
+    """
     A = regressor.reshape(-1, 3)
     normal = A.T @ A
+    normal -= min(noise * len(regressor), 0.5 * float(np.trace(normal)) / 3.0) * np.eye(3)
     if not np.isfinite(normal).all() or np.linalg.cond(normal) > 1e12:
         return np.zeros(3), np.inf, np.full((3, 3), np.inf)
     u = np.asarray(np.linalg.solve(normal, A.T @ wanted), dtype=np.float64)
@@ -187,3 +205,14 @@ def axes_agree(seat: Mounting) -> bool:
     """Return whether vehicle and IMU axes may be the same: within 3 deg, or three sigma of what the drive shows."""
     turn = np.abs(rotation.log_quaternion(seat.q_bv))
     return bool(np.all(turn < np.maximum(np.radians(NEAR_DEG), 3.0 * seat.sigma)))
+
+
+def up_at_stops(segmentation: Segmentation, imu: Imu) -> Array:
+    """Return the unit mean of the specific force at the stops (3,): where up is in the IMU's axes."""
+    up = np.mean([imu.accel_b[s.first : s.last].mean(axis=0) for s in segmentation.stops], axis=0)
+    return np.asarray(up / np.linalg.norm(up))
+
+
+def upright(segmentation: Segmentation, imu: Imu) -> bool:
+    """Return whether gravity at the stops lies along the IMU's z axis: then its x axis is taken as forward."""
+    return bool(segmentation.stops) and bool(up_at_stops(segmentation, imu)[2] > np.cos(np.radians(UPRIGHT_DEG)))

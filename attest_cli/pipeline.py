@@ -6,7 +6,8 @@ import ctypes
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +18,17 @@ from .errors import AttestError
 from .estimate import Estimate, Progress, estimate, silent
 from .filters import named
 from .locate import Vehicle, locate
-from .nodes.noise import find_noise
+from .nodes.noise import CALIBRATION, contradictions, find_noise
 from .nodes.observations import observe
 from .position import Position
-from .prepare import prepare
+from .prepare import choose, prepare
 from .readers import read as read_file
 from .readers.result import read_result
-from .records import Array, Log, Recording, Result, Segmentation, Warn
+from .records import Log, Recording, Result, Segmentation, Warn
 from .report import Report, write_pages
 from .report.build import Run, build
 from .segment import find_segments
 from .settings import Effective, Settings
-from .smoothers import backward_estimate
-from .track import full_rate
 from .world import find_world
 from .writers import write_track
 from .writers.files import atomic_write, check_output, write_csv_rows, write_table
@@ -38,6 +37,7 @@ from .writers.logs import write_recording
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, KEPT_BYTES = -1, -3, 1 << 30  # malloc.h
 FRAMES = {"enu": "ENU world, FLU body", "ned": "NED world, FRD body"}
+EVALUATION, EVALUATION_PAGE = "evaluation.json", "09-evaluate.png"
 LOG_SUFFIXES = (".csv", ".mcap", ".parquet")
 DETECTOR_STEP_S = 0.1  # the statistic is drawn at this step
 
@@ -67,41 +67,56 @@ def smooth(
         recordings, log = read(paths, settings)
         progress("finding stops", 0.2)
         segmentation = find_segments(log, settings)
+        effective = informed(effective, log)
+        settings = effective.settings
         est = estimate(log, segmentation, settings, progress)
         progress("position", 0.6)
-        q = full_rate(est.nodes, est.smoothed, log.imu.t)
-        place, vehicle, warnings = locate(log, segmentation, est, q, settings)
-        run, track = _assemble(paths, recordings, log, effective, segmentation, est, q, place, vehicle, warnings)
+        place, vehicle, warnings = locate(log, segmentation, est, settings)
+        warnings += contradictions(log, segmentation, find_noise(log, segmentation, settings), settings)
+        log, est = _as_recorded(log, est)
+        run, track = _assemble(paths, recordings, log, effective, segmentation, est, place, vehicle, warnings)
         progress("writing", 0.7)
         return _write(folder, run, track, settings, progress)
 
 
+def informed(effective: Effective, log: Log) -> Effective:
+    """Take the sigmas of a calibration for settings that nobody gave."""
+    known = {} if log.calibrated is None else log.calibrated.sigmas
+    return effective.informed({f"imu.{name}": value for name, value in known.items()}, CALIBRATION)
+
+
+def _as_recorded(log: Log, est: Estimate) -> tuple[Log, Estimate]:
+    """Put the bias that a calibration took out of the gyro back into the log and into every bias that is told."""
+    if log.calibrated is None:
+        return log, est
+    out = log.calibrated.at(est.smoothed.t)
+    imu = replace(log.imu, gyro_b=log.imu.gyro_b + log.calibrated.at(log.imu.t))
+    passes = {name: replace(p, bias=p.bias + out) for name, p in est.passes.items()}
+    smoothed = replace(est.smoothed, bias=est.smoothed.bias + out)
+    return replace(log, imu=imu), replace(est, smoothed=smoothed, passes=passes)
+
+
 def _assemble(
     paths: Sequence[Path], recordings: tuple[Recording, ...], log: Log, effective: Effective,
-    segmentation: Segmentation, est: Estimate, q: Array, place: Position | None, vehicle: Vehicle,
+    segmentation: Segmentation, est: Estimate, place: Position | None, vehicle: Vehicle,
     warnings: Sequence[Warn],
 ) -> tuple[Run, tables.Track]:  # fmt: skip
     """Bring everything into body axes, judge it, and prepare the track."""
     settings = effective.settings
-    backward = backward_estimate(est.forward, est.smoothed.information)
-    passes = {
-        "forward": assess.Pass(est.forward.q, est.forward.bias, est.forward.chain.P),
-        "backward": assess.Pass(*backward),
-        "smoothed": assess.Pass(est.smoothed.q, est.smoothed.bias, est.smoothed.P),
-    }
     threshold = settings.smoothing.stop_threshold_deg
-    t = est.nodes.t
+    t, passes = est.smoothed.t, est.passes
     relative = est.forward.heading == "relative"
     rows = assess.segment_table(log, segmentation, t, passes, place, est.noise, threshold, relative)
-    advice = assess.stop_advice(est.forward, est.smoothed, segmentation, est.noise, threshold)
+    advice = assess.stop_advice(t, est.moving, passes, segmentation, est.noise, threshold)
     turned = {name: p.turned(vehicle.q_bv, vehicle.sigma) for name, p in passes.items()}
     told = (*log.warnings, *segmentation.warnings, *est.warnings, *warnings)
     run = Run(
-        tuple(paths), recordings, log, effective, est.world, est.noise, segmentation, est.forward, est.smoothed, turned,
+        tuple(paths), recordings, log, effective, segmentation, est, turned,
         assess.separation(passes["forward"], passes["backward"]), place, vehicle.told, rows, advice, told,
-        settings.smoothing.smoother,
     )  # fmt: skip
-    track = tables.Track(log, q, est.smoothed, place, segmentation, vehicle.q_bv, vehicle.sigma, settings.world.frame)
+    track = tables.Track(
+        log, est.q, est.smoothed, place, segmentation, vehicle.q_bv, vehicle.sigma, settings.world.frame
+    )
     return run, track
 
 
@@ -111,13 +126,13 @@ def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, prog
     metadata = _metadata(run, report)
     for name in settings.output.formats:
         write_track(track, metadata, folder / f"track.{name}", name)
-    t = run.forward.t
-    relative = run.forward.heading == "relative"
+    t, forward = run.est.smoothed.t, run.est.forward
+    relative = forward.heading == "relative"
     metadata |= {"frame": FRAMES["enu"]}  # the pages are drawn from these
     nodes = tables.pass_columns(run.log, t, run.passes, run.separation, run.position, run.segmentation, relative)
     write_table(nodes, folder / "passes.parquet", metadata)
     write_table(
-        tables.innovation_columns(run.forward.innovations, t, run.segmentation),
+        tables.innovation_columns(forward.innovations, forward.t, run.segmentation),
         folder / "innovations.parquet",
         metadata,
     )
@@ -206,12 +221,8 @@ def _draw_detector(
     from .figures.stops import draw
 
     t = np.arange(log.imu.t[0], log.imu.t[-1], DETECTOR_STEP_S)
-    span = float(log.imu.t[-1] - log.imu.t[0])
-    report = {
-        "attest_version": __version__, "settings": effective.table(), "gaps": log.gaps.tolist(),
-        "input": {"files": [{"name": p.name} for p in log.sources], "duration_s": span, "samples": len(log.imu.t)},
-        "statistics": {"detector": dict(detector), "stops": len(found.stops), "motions": len(found.motions)},
-    }  # fmt: skip
+    statistics = {"detector": dict(detector), "stops": len(found.stops), "motions": len(found.motions)}
+    report = {**_head(log, effective), "statistics": statistics}
     passes = {"t_s": t, "stop_statistic": np.interp(t, log.imu.t, found.statistic)}
     page = draw(Result(output.parent, report, passes, {}, tuple(rows)), effective.settings.output.theme)
     if page is not None:
@@ -219,11 +230,58 @@ def _draw_detector(
             temporary.write_bytes(page.png())
 
 
+def _head(log: Log, effective: Effective) -> dict[str, Any]:
+    """Say what the head of a page tells of a log."""
+    files = [{"name": path.name} for path in log.sources]
+    known = {"files": files, "duration_s": float(log.imu.t[-1] - log.imu.t[0]), "samples": len(log.imu.t)}
+    return {
+        "attest_version": __version__, "settings": effective.table(), "gaps": log.gaps.tolist(), "input": known
+    }  # fmt: skip
+
+
+def calibrate(
+    paths: Sequence[Path], effective: Effective, output: Path, *, model: str = "auto", overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:  # fmt: skip
+    """Calibrate the IMU of a log from what stands still in it; write the folder, return what was found.
+
+    ``effective`` names neither mounting nor calibration: the file is of the sensor's own axes, and of it as it is.
+    """
+    from .calibration.calibrate import calibrate as fit
+    from .figures.calibrate_bias import NAME, draw, status
+    from .writers.calibration import describe, write_calibration, write_kalibr
+    from .writers.folder import CALIBRATION as LAST
+
+    settings = effective.settings
+    with result_folder(output, overwrite=overwrite, inputs=paths, last=LAST) as folder:
+        progress("reading", 0.0)
+        recordings, log = read(paths, settings)
+        progress("finding stops", 0.3)
+        segmentation = find_segments(log, settings)
+        progress("fitting", 0.5)
+        found = fit(log, segmentation, settings, model=model)
+        channels = choose(recordings, settings).channels
+        file = describe(found, paths, next(channels[role].name for role in ("imu", "gyro") if role in channels))
+        progress("drawing", 0.8)
+        head = _head(log, effective)
+        for known, source in zip(head["input"]["files"], file.source.files, strict=True):
+            known["sha256"] = source.sha256
+        page = draw(found, Result(output, head, {"t_s": np.array([])}, {}, ()), settings.output.theme)
+        with atomic_write(folder / NAME) as temporary:
+            temporary.write_bytes(page.png())
+        write_kalibr(file, folder / "imu.yaml")
+        write_calibration(file, folder / LAST)
+        progress("done", 1.0)
+    told = (*log.warnings, *segmentation.warnings)
+    return {"file": file, "title": page.title, "status": status(found), "warnings": told}
+
+
 def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
     """Say what a run would do (``--dry-run``): channels, segments, sensors, methods. Writes nothing."""
     settings = effective.settings
     recordings, log = read(paths, settings)
     found = find_segments(log, settings)
+    settings = informed(effective, log).settings
     world, noise = find_world(log, settings), find_noise(log, found, settings)
     observations, warnings = observe(log, found, world, noise, settings)
     counts: dict[str, int] = {}
@@ -245,12 +303,49 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def evaluate(
+    result: Path, reference: Path, options: Mapping[str, Any], output: Path | None = None, *,
+    channel: str | None = None, theme: str | None = None, overwrite: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Judge a result by a reference; write ``evaluation.json`` and its page into ``output``, by default beside it.
+
+    ``options``: fields of ``evaluate.Options``; ``channel``: of a reference in MCAP.
+    """
+    from .evaluate import Options, claims
+    from .evaluate import evaluate as judge
+    from .figures.evaluate import draw
+    from .readers.reference import read_judged, read_poses
+    from .report.evaluation import told, tracked
+
+    folder = output or (result if result.is_dir() else result.parent)
+    for name in (EVALUATION_PAGE, EVALUATION):
+        check_output(folder / name, overwrite=overwrite, inputs=(result, reference))
+    drive, poses = read_judged(result)
+    if "smoothed_covariance" in drive.passes:
+        poses = replace(poses, claims=claims.of_passes(drive.passes, poses.claims))
+    by = read_poses(reference, channel)
+    found = judge(poses, by, Options(**options))
+    page = draw(found, drive, by.source, theme or "light")
+    track = result / poses.source if result.is_dir() else result
+    content = told(found, {
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"), "result": tracked(track, poses),
+        "reference": tracked(reference, by), "page": {"file": EVALUATION_PAGE, "title": page.title, "alt": page.alt},
+    })  # fmt: skip
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_write(folder / EVALUATION_PAGE) as temporary:
+        temporary.write_bytes(page.png())
+    with atomic_write(folder / EVALUATION) as temporary:
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(f"{text}\n", encoding="utf-8")
+    return content
+
+
 def simulate(scenario: str, output: Path, options: Mapping[str, Any], overwrite: bool = False) -> list[Path]:
     """Simulate a drive; write the log, its truth, and the ``attest.toml`` that goes with it.
 
     ``output`` with a suffix names one log; without one, the log is written in all three formats.
     """
-    from .simulate import SCENARIOS, RoverOptions
+    from .simulate import SCENARIOS
 
     if scenario not in SCENARIOS:
         raise AttestError(f"no scenario {scenario!r}", f"choose one of {', '.join(SCENARIOS)}")
@@ -258,7 +353,8 @@ def simulate(scenario: str, output: Path, options: Mapping[str, Any], overwrite:
     truth, config = logs[0].with_suffix(".truth.parquet"), logs[0].parent / "attest.toml"
     for path in (*logs, truth, config):
         check_output(path, overwrite=overwrite)
-    made = SCENARIOS[scenario](RoverOptions(**options))
+    options_of, run = SCENARIOS[scenario]
+    made = run(options_of(**options))
     logs[0].parent.mkdir(parents=True, exist_ok=True)
     for path in logs:
         write_recording(made.log, path)

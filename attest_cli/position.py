@@ -15,7 +15,6 @@ import numpy as np
 
 from .maths import rotation
 from .maths.kalman import symmetric
-from .nodes import Nodes
 from .records import Array, Bools, Fixes, Imu, Segment, Segmentation, Smoothed
 from .settings import Settings
 
@@ -62,6 +61,27 @@ def markov(smoothed: Smoothed) -> Markov:
     F = np.asarray(np.linalg.solve(P[:-1], cross).swapaxes(1, 2), dtype=np.float64)
     W = symmetric(P[1:] - F @ P[:-1] @ F.swapaxes(1, 2))
     return Markov(P, F, W)
+
+
+def navigated(t: Array, smoothed: Smoothed, segmentation: Segmentation) -> Position:
+    """Return velocity and position of a filter that estimates them, at the IMU samples ``t`` (n,): cubic between nodes.
+
+    Nodes are a tenth of a second apart: what a cubic through place and speed leaves out is the jerk between them.
+    """
+    assert smoothed.p is not None
+    assert smoothed.v is not None
+    assert smoothed.P_vp is not None
+    right = np.clip(np.searchsorted(smoothed.t, t), 1, len(smoothed.t) - 1)
+    left, T = right - 1, (smoothed.t[right] - smoothed.t[right - 1])[:, None]
+    s = np.clip((t[:, None] - smoothed.t[left, None]) / T, 0.0, 1.0)
+    p0, p1, v0, v1 = smoothed.p[left], smoothed.p[right], smoothed.v[left], smoothed.v[right]
+    p = p0 + s**2 * (3 - 2 * s) * (p1 - p0) + s * (1 - s) * T * ((1 - s) * v0 - s * v1)
+    P = smoothed.P_vp[:, 3:, 3:]
+    distance = {
+        m.index: float(np.sum(np.linalg.norm(np.diff(p[m.first : m.last], axis=0), axis=1)))
+        for m in segmentation.motions
+    }
+    return Position(p, v0 + s * (v1 - v0), P, {}, distance, _usable(P, distance), "navigation")
 
 
 def odometry_position(
@@ -172,11 +192,12 @@ def _odometry_covariance(chain: Markov, step: Array, noise: Array, scale_sigma: 
 def inertial_position(
     imu: Imu,
     q: Array,
-    nodes: Nodes,
     smoothed: Smoothed,
     segmentation: Segmentation,
     settings: Settings,
     gravity: float,
+    accel_density: float,
+    gaps: Array = NO_GAPS,
     literal: bool = False,
 ) -> Position:
     r"""Integrate the specific force over every motion, from rest to rest.
@@ -197,7 +218,7 @@ def inertial_position(
     distance: dict[int, float] = {}
     chain = markov(smoothed)
     here, spread = np.zeros(3), np.zeros((3, 3))
-    for stop, motion, following in _legs(segmentation, nodes):
+    for stop, motion, following in _legs(segmentation, gaps):
         first = stop.used_start if np.isfinite(p[:, 0]).any() else stop.start
         last = stop.used_end if motion is not None else stop.end
         rows, at = _inside(imu.t, first, last), _inside(t, first, last)
@@ -207,7 +228,7 @@ def inertial_position(
         end = following.used_start if following is not None else motion.end
         rows, at = _inside(imu.t, stop.used_end, end), _inside(t, stop.used_end, end)
         leg = _leg(imu, q, rows, gravity, literal)
-        S, A = _leg_covariance(chain, leg, at, t, nodes, settings)
+        S, A = _leg_covariance(chain, leg, at, t, accel_density, settings)
         dv, dp, C = _close(leg, S, A, t[at], following is not None, literal)
         v[rows] = leg.v + _at(imu.t[rows], t[at], dv)
         p[rows] = here + leg.p + _at(imu.t[rows], t[at], dp)
@@ -219,7 +240,7 @@ def inertial_position(
     return Position(p, v, P, closing, distance, _usable(P, distance), "literal" if literal else "strapdown")
 
 
-def _legs(segmentation: Segmentation, nodes: Nodes) -> list[tuple[Segment, Segment | None, Segment | None]]:
+def _legs(segmentation: Segmentation, gaps: Array) -> list[tuple[Segment, Segment | None, Segment | None]]:
     """Return each stop with the motion after it and the stop that closes it, from the first stop on, up to a gap."""
     segments = segmentation.segments
     out: list[tuple[Segment, Segment | None, Segment | None]] = []
@@ -228,8 +249,8 @@ def _legs(segmentation: Segmentation, nodes: Nodes) -> list[tuple[Segment, Segme
         motion = segments[k + 1] if k + 1 < len(segments) else None
         closing = segments[k + 2] if k + 2 < len(segments) else None
         until = closing.used_start if closing is not None else motion.end if motion is not None else segments[k].end
-        inside = (nodes.t[1:] > segments[k].used_start) & (nodes.t[:-1] < until)
-        broken = bool(nodes.gap[inside].any()) or (closing is not None and closing.motion)
+        holed = bool(np.any((gaps[:, 1] > segments[k].used_start) & (gaps[:, 0] < until)))
+        broken = holed or (closing is not None and closing.motion)
         if motion is None or not motion.motion or broken:
             out.append((segments[k], None, None))
             break
@@ -265,7 +286,7 @@ def _leg(imu: Imu, q: Array, rows: slice, gravity: float, literal: bool) -> Leg:
 
 
 def _leg_covariance(
-    chain: Markov, leg: Leg, at: slice, t_all: Array, nodes: Nodes, settings: Settings
+    chain: Markov, leg: Leg, at: slice, t_all: Array, accel_density: float, settings: Settings
 ) -> tuple[Array, Array]:
     """Covariances (m, 15, 15) of ``[dtheta_n, dbias, dv, dp, dba]`` at the nodes of a leg and its transitions (m - 1,
     15, 15).
@@ -291,7 +312,7 @@ def _leg_covariance(
     B[:, :6] = np.eye(6)
     B[:, 6:9, :3], B[:, 9:12, :3] = half, 0.5 * tau[:, None, None] * half
     noise = B @ W @ B.swapaxes(1, 2)
-    noise[:, 6:9, 6:9] += nodes.noise.accel_density**2 * tau[:, None, None] * np.eye(3)
+    noise[:, 6:9, 6:9] += accel_density**2 * tau[:, None, None] * np.eye(3)
     noise[:, 12:, 12:] = ACCEL_WALK**2 * tau[:, None, None] * np.eye(3)
     for k in range(m - 1):
         now = A[k] @ S[k] @ A[k].T + noise[k]

@@ -7,7 +7,7 @@ Arrays are time first: vectors ``(n, 3)``, scalars ``(n,)``, covariances ``(n, k
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import AttestError
-from .maths.kalman import Chain
+from .maths.kalman import Chain, Errors
 from .maths.propagation import Increments
 
 Array = NDArray[np.float64]
@@ -149,8 +149,29 @@ class Fixes:
 
 
 @dataclass(frozen=True, slots=True)
+class Calibrated:
+    """What a calibration file did to a log: ``bias_b`` (k, 3) rad/s at ``t`` (k,) s was taken out of its gyro; its
+    ``noise`` densities and the ``sigmas`` of what is left, both by the names of the settings they stand in for;
+    ``name`` of the file.
+    """
+
+    t: Array
+    bias_b: Array
+    noise: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    name: str
+
+    def at(self, t: Array) -> Array:
+        """Return the bias (m, 3) that was taken out at times ``t`` (m,)."""
+        return np.stack([np.interp(t, self.t, self.bias_b[:, i]) for i in range(3)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
-    """One drive in SI units and body axes, on one time base. ``gaps`` (g, 2): start and end of holes in the IMU, s."""
+    """One drive in SI units and body axes, on one time base. ``gaps`` (g, 2): start and end of holes in the IMU, s.
+
+    With ``calibrated`` a bias was taken out of the gyro: what filters find is what is left of it.
+    """
 
     sources: tuple[Path, ...]
     t0_ns: int
@@ -161,6 +182,7 @@ class Log:
     coverage: Mapping[str, float]  # rows_in, rows_used, rows_dropped, seconds_in, seconds_used
     warnings: tuple[Warn, ...] = ()
     history: tuple[str, ...] = ()
+    calibrated: Calibrated | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,28 +270,11 @@ class Innovations:
 
 
 @dataclass(frozen=True, slots=True)
-class FilterRun:
-    """A forward pass over n nodes: updated estimate ``q`` (n, 4), ``bias`` (n, 3), its ``chain`` of error covariances
-    (see ``maths.kalman``), the ``increments`` it used, every innovation; ``heading``: absolute, magnetic or relative;
-    ``start_in_motion``.
-    """
-
-    t: Array
-    q: Array
-    bias: Array
-    chain: Chain
-    increments: Increments
-    innovations: Innovations
-    moving: Bools  # (n,) False at the nodes of a stop
-    heading: str
-    start_in_motion: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Smoothed:
     """A smoothed pass over n nodes: ``q`` (n, 4), ``bias`` (n, 3), covariance ``P`` (n, 6, 6) about it, lag-one
     covariance ``cross`` (n - 1, 6, 6), how many Gauss-Newton passes were made, and the backward ``information`` (Y,
-    y) if it was used.
+    y) if it was used. A filter that estimates them too adds velocity and position ``v``, ``p`` (n, 3) and their
+    covariance ``P_vp`` (n, 6, 6), navigation axes.
     """
 
     t: Array
@@ -280,3 +285,29 @@ class Smoothed:
     passes: int = 0
     information: tuple[Array, Array] | None = None
     settled: bool = True  # the last Gauss-Newton pass moved nothing
+    v: Array | None = None
+    p: Array | None = None
+    P_vp: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FilterRun:
+    """A forward pass over n nodes: updated estimate ``q`` (n, 4), ``bias`` (n, 3), its ``chain`` of error covariances
+    (see ``maths.kalman``), every innovation; ``heading``: absolute, magnetic or relative; ``start_in_motion``.
+
+    A chain of other states than ``[dtheta_b, dbias]`` comes with ``read``, which turns errors of its states (zero: the
+    pass itself) into attitude and bias; ``absent`` names what such a filter does not estimate. ``increments`` are those
+    it used, where it runs over preintegrated nodes.
+    """
+
+    t: Array
+    q: Array
+    bias: Array
+    chain: Chain
+    increments: Increments | None
+    innovations: Innovations
+    moving: Bools  # (n,) False at the nodes of a stop
+    heading: str
+    start_in_motion: bool
+    read: Callable[[Errors], Smoothed] | None = None
+    absent: tuple[str, ...] = ()

@@ -153,6 +153,17 @@ class Drive:
         return self.heading == "relative"
 
     @property
+    def method(self) -> tuple[str, str]:
+        """Filter and smoother by name; empty where the report does not say."""
+        methods = self.report.get("methods") or {}
+        return clean(methods.get("filter") or "", 30), clean(methods.get("smoother") or "", 30)
+
+    @property
+    def not_estimated(self) -> tuple[str, ...]:
+        """States that the filter leaves to dead reckoning."""
+        return tuple(clean(name, 30) for name in (self.report.get("methods") or {}).get("not_estimated") or [])
+
+    @property
     def duration_s(self) -> float:
         """Length of the log in seconds."""
         stated = real((self.report.get("input") or {}).get("duration_s"))

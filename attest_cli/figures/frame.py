@@ -80,12 +80,13 @@ def footer(drive: Drive) -> str:
     """Version, file, checksum and smoother: enough to find the run again."""
     files = (drive.report.get("input") or {}).get("files") or [{}]
     sha = clean(files[0].get("sha256") or "", 64)
-    smoother = clean((drive.report.get("methods") or {}).get("smoother") or "", 30)
+    method, smoother = drive.method
+    backward = "no smoother" if smoother == "none" else f"{smoother} smoother" if smoother else ""
     known = [
         f"attest {clean(drive.report.get('attest_version') or __version__, 20)}",
         cut(drive.file_name, 40),
         f"sha256 {sha[:4]}…{sha[-2:]}" if sha else "",
-        "no smoother" if smoother == "none" else f"{smoother} smoother" if smoother else "",
+        ", ".join(part for part in (method and f"{method} filter", backward) if part),
     ]
     return " · ".join(part for part in known if part)
 

@@ -20,7 +20,9 @@ STEADY, STEADY_DEG_S = 0.1, 1e-6  # a drift below this share of its sigma, or th
 def draw(result: Result, theme: str = "light") -> Page | None:
     """The page; None where no pass estimates a gyro bias."""
     drive = Drive(result)
-    if not any(np.isfinite(drive.column(f"smoothed_gyro_bias_{a}_rad_s")).any() for a in AXES):
+    if "gyro bias" in drive.not_estimated or not any(
+        np.isfinite(drive.column(f"smoothed_gyro_bias_{a}_rad_s")).any() for a in AXES
+    ):
         return None
     means = " · points: mean rate at each stop with 2σ bar" if _stop_means(drive, "x")[0].size else ""
     who = "gyro bias of the three passes" if drive.two_passes else "gyro bias of the forward and the smoothed pass"

@@ -86,7 +86,8 @@ def _notes(drive: Drive) -> list[str]:
     source = drive.report.get("input") or {}
     samples, rate = source.get("samples"), source.get("rate_hz")
     sensors = [clean(s, 40) for s in source.get("sensors") or []]
-    missing = [*(["no heading sensor"] if drive.relative else [])]
+    unseen = "heading is not estimated" if "heading" in drive.not_estimated else "no heading sensor"
+    missing = [*([unseen] if drive.relative else [])]
     missing += [] if np.isfinite(drive.column("position_x_m")).any() else ["no position"]
     counted_samples = f"{number(samples)} samples" if samples is not None else ""
     return [

@@ -7,16 +7,72 @@ in eqs 20-30.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..maths import rotation
 from ..maths.consistency import upper_quantile
 from ..maths.kalman import Chain, Update, iterated_update
-from ..nodes import Nodes
-from ..records import Array, FilterRun, Innovations
+from ..nodes import NO_EPOCHS, Nodes, build_nodes
+from ..nodes.observations import observe
+from ..records import Array, FilterRun, Innovations, Warn
 from ..sensors import Measurement
-from .alignment import Start
+from . import Drive, Forward
+from .alignment import Start, align
+
+MOST_RAISES = 6  # of the gyro's noise in motion
+LEAST_RAISE = 1.1
+FEW_MOTIONS = 4
+UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
+SURE = 1e-4  # chance of a misfit taken as proof
+
+
+def forward(drive: Drive, epochs: Array = NO_EPOCHS) -> Forward:
+    """Put the drive on nodes (``epochs`` are nodes too), align, and run forward with a gyro noise that the stops do not
+    contradict.
+    """
+    log, segmentation, settings, noise = drive.log, drive.segmentation, drive.settings, drive.noise
+    observations, warnings = observe(log, segmentation, drive.world, noise, settings)
+    nodes = build_nodes(log, segmentation, observations, noise, settings, epochs)
+    start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=drive.world.field_n is None)
+    nodes, found, raised = consistent_run(nodes, start, settings.smoothing.gate_probability)
+    if raised > 1.0:
+        noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
+        message = f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit"
+        hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
+        warnings.append(Warn("gyro-noise-raised", message, hint))
+    return Forward(replace(found, heading=_heading(found)), noise, nodes, start, tuple(warnings))
+
+
+def _heading(found: FilterRun) -> str:
+    """Return the kind of heading: relative where every measurement of it was refused."""
+    seen = set(found.innovations.role[found.innovations.used].tolist())
+    return found.heading if seen & {"sun", "compass", "magnetometer", "orientation"} else "relative"
+
+
+def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, FilterRun, float]:
+    """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows, raise
+    the gyro's variance until it fits. Return nodes and run, and the factor.
+
+    Gravity at a stop that follows a motion is the one measurement that cannot be an outlier: rejecting it would keep a
+    wrong attitude with a small sigma. Its mean NIS over the motions is the factor.
+    """
+    forward, raised = run(nodes, start, gate), 1.0
+    for _ in range(MOST_RAISES):
+        found = forward.innovations
+        at_stops = (found.role == "gravity") & ~nodes.moving[found.node]
+        after = at_stops & (found.t > found.t[at_stops].min(initial=np.inf))
+        nis = np.sort(found.nis[after])[: -1 if after.sum() >= FEW_MOTIONS else None]  # one odd stop proves nothing
+        freedom = 2 * len(nis)
+        if freedom == 0 or nis.sum() <= upper_quantile(freedom, SURE):
+            break
+        factor = min(float(nis.sum()) / freedom, UNKNOWN_RAD**2 / nodes.motion_variance())
+        if factor < LEAST_RAISE:
+            break
+        nodes, raised = nodes.raised(factor), raised * factor
+        forward = run(nodes, start, gate)
+    return nodes, forward, raised
 
 
 def run(nodes: Nodes, start: Start, gate_probability: float = 0.9999, max_iterations: int = 8) -> FilterRun:

@@ -25,9 +25,10 @@ FROZEN_DENSITY = 1e-7  # rad/sqrt(s): keeps the covariance of a frozen attitude 
 SAME_TIME_S = 1e-6
 MERGED_S = 1e-4  # nodes nearer than this are one: an interval without noise has no inverse
 RATE_WINDOW_S = 1.0  # the rate that a scale error acts on is its mean over this
+NO_EPOCHS = np.zeros(0)
 GAP_MARGIN = 2.0  # a hole is as lively as the drive, twice over
 
-__all__ = ["Nodes", "build_nodes"]
+__all__ = ["NO_EPOCHS", "Nodes", "build_nodes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,21 +80,29 @@ class Nodes:
 
 
 def build_nodes(
-    log: Log, segmentation: Segmentation, observations: list[Observation], noise: Noise, settings: Settings
-) -> Nodes:
-    """Place the nodes, preintegrate the IMU between them and hand each node its measurements."""
+    log: Log, segmentation: Segmentation, observations: list[Observation], noise: Noise, settings: Settings,
+    epochs: Array = NO_EPOCHS,
+) -> Nodes:  # fmt: skip
+    """Place the nodes, preintegrate the IMU between them and hand each node its measurements; ``epochs`` (k,) s are
+    nodes too.
+    """
     imu = log.imu
     stops = [(s.used_start, s.used_end) for s in segmentation.stops]
     gaps = [(float(a), float(b)) for a, b in log.gaps]
     frozen_stops = stops if settings.smoothing.zero_rate else []
     t = _grid(
-        imu.t, stops, frozen_stops, gaps, np.array([o.t for o in observations]), settings.smoothing.node_spacing_s
+        imu.t,
+        stops,
+        frozen_stops,
+        gaps,
+        np.array([*(o.t for o in observations), *epochs]),
+        settings.smoothing.node_spacing_s,
     )
     middle = 0.5 * (t[1:] + t[:-1])
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
     steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
     bias = reference_bias(log, segmentation, middle)
-    density = motion_density(noise, _mean_rate(imu, middle) - bias)
+    density = motion_density(noise, mean_rate(imu, middle) - bias)
     increments = _increments(steps, bias, frozen, gap, density, noise)
     by_node = _assign(imu, observations, t, segmentation, settings.smoothing.zero_rate)
     for m in _zero_rates(imu, t, frozen, noise):
@@ -184,7 +193,7 @@ def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, density: A
     return inc
 
 
-def _mean_rate(imu: Imu, at: Array) -> Array:
+def mean_rate(imu: Imu, at: Array) -> Array:
     """Return the gyro's mean (m, 3) over a second about each time."""
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(imu.gyro_b[:-1] * np.diff(imu.t)[:, None], axis=0)])
     ends = np.clip(np.stack([at - 0.5 * RATE_WINDOW_S, at + 0.5 * RATE_WINDOW_S]), imu.t[0], imu.t[-1])

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..records import Array, Log, Segmentation
+from ..maths.consistency import upper_quantile
+from ..records import Array, Log, Segmentation, Warn
 from ..settings import Settings
 
 ASSUMED_GYRO_DENSITY = 5e-4  # rad/s/sqrt(Hz), 1.7 deg/sqrt(h): a consumer MEMS gyro; only where a log has no stop
@@ -16,6 +17,8 @@ ASSUMED_SCALE = 3e-3  # scale and misalignment of a factory-calibrated MEMS gyro
 SCALE_CORRELATION_S = 2.0  # a rate lasts about this long: its scale error counts as noise of this correlation time
 ASSUMED_GYRO_WALK = 2e-5  # rad/s^2/sqrt(Hz): a consumer MEMS gyro
 WALK_WEIGHT = 3.0  # the assumption counts like three pairs of stops
+CALIBRATION = "calibration"  # a source
+FAR_OFF, SURE, NOISIER = 5.0, 1e-6, 1.5  # sigma, chance and factor from which a log contradicts its calibration
 BLOCK_S = 0.5  # block whose mean shows the noise below the sensor's own low-pass
 
 
@@ -93,16 +96,18 @@ def bias_walk(means: Array, times: Array, spans: Array, n_r: float) -> float:
 
 
 def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Noise:
-    """Return the noise of the IMU; each figure from the settings, else from the log's stops, else assumed (and
-    said).
+    """Return the noise of the IMU; each figure from the settings, else from a calibration, else from the log's stops,
+    else assumed (and said).
     """
     t, wanted, sources = log.imu.t, settings.imu, {}
+    measured = {} if log.calibrated is None else log.calibrated.noise
     ranges = [(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
     dt = [float(np.median(np.diff(t[lo:hi]))) for lo, hi in ranges]
 
     def pick(name: str, stated: float | None, found: float | None, assumed: float) -> float:
-        sources[name] = "settings" if stated is not None else "log's stops" if found is not None else "assumed"
-        return stated if stated is not None else found if found is not None else assumed
+        known = {"settings": stated, CALIBRATION: measured.get(name), "log's stops": found, "assumed": assumed}
+        sources[name], value = next((source, value) for source, value in known.items() if value is not None)
+        return value
 
     at_rest = [(log.imu.gyro_b[lo:hi], d) for (lo, hi), d in zip(ranges, dt, strict=True)]
     gyro = pick("gyro_noise_density", wanted.gyro_noise_density, density(at_rest), ASSUMED_GYRO_DENSITY)
@@ -114,13 +119,45 @@ def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Nois
         centre = np.array([0.5 * (t[lo] + t[hi - 1]) for lo, hi in ranges])
         span = np.array([(hi - lo) * d for (lo, hi), d in zip(ranges, dt, strict=True)])
         walk = bias_walk(means, centre, span, gyro**2)
-    measured = 0.0 if wanted.gyro_noise_density is not None else None
-    scale = pick("gyro_scale_sigma", wanted.gyro_scale_sigma, measured, ASSUMED_SCALE)
-    if wanted.gyro_scale_sigma is None and measured is not None:
+    none = 0.0 if wanted.gyro_noise_density is not None else None
+    scale = pick("gyro_scale_sigma", wanted.gyro_scale_sigma, none, ASSUMED_SCALE)
+    if wanted.gyro_scale_sigma is None and none is not None:
         sources["gyro_scale_sigma"] = "none, as the density is stated"
     return Noise(
         gyro, pick("gyro_random_walk", wanted.gyro_random_walk, walk, ASSUMED_GYRO_WALK), accel, sources, scale
     )
+
+
+def contradictions(log: Log, segmentation: Segmentation, noise: Noise, settings: Settings) -> list[Warn]:
+    """Return what at the log's stops contradicts its calibration, the first alone: bias, noise, walk of the bias."""
+    known = log.calibrated
+    ranges = [(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
+    if known is None or not ranges:
+        return []
+    t, rates = log.imu.t, [log.imu.gyro_b[lo:hi] for lo, hi in ranges]
+    means = np.array([rate.mean(axis=0) for rate in rates])
+    span = np.array([t[hi - 1] - t[lo] for lo, hi in ranges])
+    middle = np.array([0.5 * (t[lo] + t[hi - 1]) for lo, hi in ranges])
+    sigma = np.hypot(settings.imu.gyro_bias_sigma, noise.gyro_density / np.sqrt(span[0]))
+    off = float(np.abs(means[0]).max())
+    if off > FAR_OFF * sigma:
+        fact = f"the gyro's bias at the first stop is {np.degrees(off):.3g} deg/s off, {off / sigma:.0f} sigma"
+        hint = "of another sensor, other axes or another day's temperature? the log's own stops were used"
+        return [Warn("calibration-bias", f"{known.name}: {fact}", hint)]
+    found = density([(rate, float(np.median(np.diff(t[lo:hi])))) for rate, (lo, hi) in zip(rates, ranges, strict=True)])
+    if found is not None and noise.sources["gyro_noise_density"] == CALIBRATION:
+        times = found / noise.gyro_density
+        if not 1.0 / NOISIER < times < NOISIER:
+            fact = f"the gyro is {times:.2g} times as noisy at this log's stops"
+            return [Warn("calibration-noise", f"{known.name}: {fact}", "did something shake, or is it another sensor?")]
+    if noise.sources["gyro_random_walk"] == CALIBRATION and len(means) > 1:
+        allowed = noise.n_r * (1 / span[1:] + 1 / span[:-1]) + noise.n_w * np.diff(middle)
+        moved = float(np.sum(np.diff(means, axis=0) ** 2 / allowed[:, None]))
+        dof = 3 * len(allowed)
+        if moved > upper_quantile(dof, SURE):
+            fact = f"the gyro's bias moves {np.sqrt(moved / dof):.2g} times more from stop to stop than it says"
+            return [Warn("calibration-walk", f"{known.name}: {fact}", "attest calibrate-bias of this log fits it")]
+    return []
 
 
 def reference_bias(log: Log, segmentation: Segmentation, at: Array) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from ..records import Fixes, Imu, Log, Recording, Warn
 from ..settings import Settings
+from .calibration import calibrated
 from .clock import seconds
 from .fixes import Span, fixes_of
 from .imu import ImuRows, imu_rows
@@ -25,7 +26,7 @@ def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
         As found in the files; several are joined by time.
     settings : Settings
         ``map`` and the ``channel`` of each role, ``imu.mounting`` (applied where it is a quaternion; the magnetometer
-        sits in the same box), ``sun.components``, ``time``, ``world.gravity_m_s2``.
+        sits in the same box), ``imu.calibration``, ``sun.components``, ``time``, ``world.gravity_m_s2``.
 
     Returns
     -------
@@ -44,7 +45,7 @@ def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
     span = Span(rows.t0_ns, int(rows.stamps_ns[0]), int(rows.stamps_ns[-1]), settings.time.max_gap_s)
     warnings = [*(w for recording in recordings for w in recording.warnings), *cast.warnings, *rows.warnings]
     fixes = _fixes(cast, span, settings, warnings)
-    return Log(
+    log = Log(
         sources=tuple(recording.source for recording in recordings),
         t0_ns=rows.t0_ns,
         stamps_ns=rows.stamps_ns,
@@ -55,6 +56,7 @@ def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
         warnings=tuple(warnings),
         history=_history(cast, fixes, rows, settings),
     )
+    return calibrated(log, settings)
 
 
 def _fixes(cast: Cast, span: Span, settings: Settings, warnings: list[Warn]) -> dict[str, Fixes]:

@@ -13,16 +13,17 @@ import numpy as np
 
 from .. import __version__
 from ..assess import Pass
+from ..estimate import Estimate
 from ..filters import named
 from ..maths.consistency import upper_quantile
-from ..nodes.noise import Noise
 from ..position import Position
-from ..records import Array, FilterRun, Innovations, Log, Recording, Segmentation, Smoothed, Warn, World
+from ..records import Array, Innovations, Log, Recording, Segmentation, Warn
 from ..settings import Effective
 
 FIRST_EPOCH_NS = 946_684_800 * 10**9  # clocks before 2000 count from a start of their own
 SENSOR_NAMES = {
     "gravity": "accelerometer at stops",
+    "accelerometer": "accelerometer",
     "sun": "sun sensor",
     "compass": "compass",
     "magnetometer": "magnetometer",
@@ -43,11 +44,8 @@ class Run:
     recordings: tuple[Recording, ...]
     log: Log
     effective: Effective
-    world: World
-    noise: Noise
     segmentation: Segmentation
-    forward: FilterRun
-    smoothed: Smoothed
+    est: Estimate
     passes: Mapping[str, Pass]
     separation: tuple[Array, Array]
     position: Position | None
@@ -55,7 +53,6 @@ class Run:
     segments: Sequence[Mapping[str, Any]]
     advice: Mapping[str, Any]
     warnings: tuple[Warn, ...]
-    smoother: str
 
 
 def build(run: Run) -> dict[str, Any]:
@@ -71,11 +68,12 @@ def build(run: Run) -> dict[str, Any]:
         "settings": _settings(run),
         "methods": {
             "filter": named(run.effective.settings.smoothing.filter),
-            "smoother": run.smoother,
-            "iterations": run.smoothed.passes,
+            "smoother": run.effective.settings.smoothing.smoother,
+            "iterations": run.est.smoothed.passes,
             "position": run.position.method if run.position else "none",
+            "not_estimated": list(run.est.forward.absent),
         },
-        "heading": run.forward.heading,
+        "heading": run.est.forward.heading,
         "body": dict(run.body),
         "statistics": _statistics(run),
         "advice": {k: run.advice[k] for k in ("threshold_deg", "axis", "lines")},
@@ -83,13 +81,13 @@ def build(run: Run) -> dict[str, Any]:
         "checks": sorted(checks, key=lambda c: ("FAIL", "WARN", "PASS").index(c["status"])),
         "gaps": [[float(a), float(b)] for a, b in run.log.gaps],
         "pages": [],
-        "history": [*run.log.history, *run.world.notes],
+        "history": [*run.log.history, *run.est.world.notes],
     }
 
 
 def _input(run: Run) -> dict[str, Any]:
     t, t0 = run.log.imu.t, run.log.t0_ns
-    found = run.forward.innovations
+    found = run.est.forward.innovations
     used = set(found.role[found.used].tolist())
     sensors = [name for role, name in SENSOR_NAMES.items() if role in used]
     if "gravity" in used and not run.segmentation.stops:
@@ -148,14 +146,14 @@ def _settings(run: Run) -> dict[str, Any]:
     """Effective values: what the settings leave open stands with what the log gave."""
     out = run.effective.table()
     figures = {
-        "gyro_noise_density": run.noise.gyro_density,
-        "gyro_random_walk": run.noise.gyro_walk,
-        "accel_noise_density": run.noise.accel_density,
-        "gyro_scale_sigma": run.noise.gyro_scale,
+        "gyro_noise_density": run.est.noise.gyro_density,
+        "gyro_random_walk": run.est.noise.gyro_walk,
+        "accel_noise_density": run.est.noise.accel_density,
+        "gyro_scale_sigma": run.est.noise.gyro_scale,
     }
     for key, value in figures.items():
-        if run.noise.sources[key] != "settings":
-            out[f"imu.{key}"] = {"value": value, "source": run.noise.sources[key]}
+        if run.est.noise.sources[key] != "settings":
+            out[f"imu.{key}"] = {"value": value, "source": run.est.noise.sources[key]}
     return out
 
 
@@ -169,12 +167,12 @@ def _sigma(run: Run, name: str) -> tuple[Array, Array]:
 def _statistics(run: Run) -> dict[str, Any]:
     heading, tilt = _sigma(run, "smoothed")
     forward_heading = np.degrees(run.passes["forward"].sigma_n()[:, 2])
-    if run.forward.moving.any():  # not while the filter finds its feet at the first stop
-        forward_heading = forward_heading[run.forward.moving]
+    if run.est.moving.any():  # not while the filter finds its feet at the first stop
+        forward_heading = forward_heading[run.est.moving]
     motions = [r for r in run.segments if r["kind"] == "motion"]
     apart = [r[f"separation_{a}_sigma"] for r in motions for a in _axes(run) if r[f"separation_{a}_sigma"] is not None]
     dt = np.diff(run.log.imu.t)
-    bias = np.degrees(run.smoothed.bias)
+    bias = np.degrees(run.est.smoothed.bias)
     s = run.segmentation
     return {
         "sigma_heading_median_deg": float(np.median(heading)),
@@ -187,7 +185,7 @@ def _statistics(run: Run) -> dict[str, Any]:
         "stops": len(s.stops),
         "separation_checks": len(apart),
         "separation_inside_2sigma": int(np.sum(np.abs(apart) <= 2.0)) if apart else 0,
-        "innovations": _innovations(run.forward.innovations),
+        "innovations": _innovations(run.est.forward.innovations),
         "forward_over_threshold_share": run.advice["share_over"],
         "longest_smoothed_drive_s": run.advice["longest_s"],
         "gyro_bias_drift_deg_s": float(np.max(np.ptp(bias, axis=0))),
@@ -199,7 +197,7 @@ def _statistics(run: Run) -> dict[str, Any]:
 
 def _axes(run: Run) -> str:
     """Return the axes whose separation says something: heading only where it is measured."""
-    return "xy" if run.forward.heading == "relative" else "xyz"
+    return "xy" if run.est.forward.heading == "relative" else "xyz"
 
 
 def _position_numbers(position: Position | None) -> dict[str, Any]:
@@ -240,7 +238,7 @@ def _check(name: str, good: bool, fact: str, detail: str, *, fatal: bool = False
 def _checks(run: Run) -> list[dict[str, Any]]:
     """Return the lines of "What to know": warnings of the log first, then what the run found out about itself."""
     lines = [_check(w.code, False, _sentence(w.message), w.hint) for w in run.warnings]
-    lines += _separation_check(run) + _innovation_checks(run.forward.innovations)
+    lines += _separation_check(run) + _innovation_checks(run.est.forward.innovations)
     lines += [c for c in (_position_check(run), _advice_check(run), _data_check(run)) if c is not None]
     return lines
 

@@ -81,6 +81,7 @@ class Methods(Part):
     smoother: str
     iterations: int | str
     position: str
+    not_estimated: list[str] = Field(default_factory=list, description="states that this filter does not estimate")
 
 
 class BodyAxes(Part):

@@ -179,7 +179,7 @@ def quiet_intervals(
     step += np.sum(np.diff(force, axis=0) ** 2, axis=1) / variance_accel
     linked = calm[1:] & calm[:-1] & (step < CHI2_6) & (np.diff(windows.run[blocks]) == 0)
     for first, last in spans(linked):  # a slow start may creep away from the stop in steps too small to see
-        core = slice(first + (last - first) // 4, last + 2 - (last - first) // 4)
+        core = slice(first + (last - first) // 4, last + 1 - (last - first) // 4)
         drift = np.sum((rate[first : last + 1] - rate[core].mean(axis=0)) ** 2, axis=1) / variance_gyro
         drift += np.sum((force[first : last + 1] - force[core].mean(axis=0)) ** 2, axis=1) / variance_accel
         calm[first : last + 1] &= drift < CHI2_6

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -41,6 +41,13 @@ class Effective:
         flat = dict(_leaves(self.settings.model_dump(mode="json")))
         return {name: {"value": value, "source": self.sources.get(name, "default")} for name, value in flat.items()}
 
+    def informed(self, values: Mapping[str, Any], source: str) -> Effective:
+        """The same with ``values`` (dotted names) where nobody gave any: anything stated beats what was measured."""
+        new = _nested({name: value for name, value in values.items() if name not in self.sources})
+        parts = {name: getattr(self.settings, name).model_copy(update=part) for name, part in new.items()}
+        named = {name: source for name, _ in _leaves(new)}
+        return Effective(self.settings.model_copy(update=parts), {**self.sources, **named})
+
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
@@ -51,7 +58,9 @@ class _Layer:
     folder: Path
 
 
-def load_settings(config: Path | None, log: Path | None, overrides: Mapping[str, Any]) -> Effective:
+def load_settings(
+    config: Path | None, log: Path | None, overrides: Mapping[str, Any], without: Sequence[str] = ()
+) -> Effective:
     """Merge all sources: command line over ``--config`` over ``attest.toml`` beside the log over defaults.
 
     Parameters
@@ -62,6 +71,8 @@ def load_settings(config: Path | None, log: Path | None, overrides: Mapping[str,
         The (first) log; ``attest.toml`` in its folder is read where there is one.
     overrides : dotted name -> value
         The command line, such as ``{"smoothing.smoother": "rts", "map.sun": "/sun"}``; None = not given.
+    without : dotted names
+        Settings that have no say here, whoever gives them.
 
     Raises
     ------
@@ -70,14 +81,15 @@ def load_settings(config: Path | None, log: Path | None, overrides: Mapping[str,
     """
     beside = [log.parent / CONFIG_NAME] if log is not None and (log.parent / CONFIG_NAME).is_file() else []
     files = [*beside, config] if config is not None else beside
-    layers = [_Layer(_read_toml(path), str(path), path.parent) for path in files]
+    layers = [_Layer(read_toml(path), str(path), path.parent) for path in files]
     layers.append(_Layer(_nested(overrides), "command line", Path()))
     merged: Table = {}
     sources: dict[str, str] = {}
     for layer in (part for given in layers for part in _prepared(given)):
         for name, value in _leaves(layer.table):
-            _put(merged, name, value)
-            sources[name] = layer.source
+            if name not in without:
+                _put(merged, name, value)
+                sources[name] = layer.source
     return Effective(_checked(merged, "settings"), sources)
 
 
@@ -85,7 +97,7 @@ def _prepared(layer: _Layer) -> Iterator[_Layer]:
     """The layer checked on its own, with whole paths and channels; beneath it what its noise file says."""
     _checked(layer.table, layer.source)
     table: Table = {name: dict(part) for name, part in layer.table.items()}
-    for section, key in (("imu", "noise_file"), ("stops", "file")):
+    for section, key in (("imu", "noise_file"), ("imu", "calibration"), ("stops", "file")):
         if section in table and key in table[section]:
             table[section][key] = layer.folder / Path(table[section][key])
     for role in set(get_args(Role)) & set(Settings.model_fields):
@@ -179,7 +191,8 @@ def _read_text(path: Path) -> str:
         raise AttestError(f"{path} is not UTF-8 text (byte {fault.start})", "save it as UTF-8") from None
 
 
-def _read_toml(path: Path) -> Table:
+def read_toml(path: Path) -> Table:
+    """Tables of a TOML file; a fault of it is one line."""
     try:
         return tomllib.loads(_read_text(path))
     except tomllib.TOMLDecodeError as fault:

@@ -81,7 +81,11 @@ Rate = Annotated[float, _positive, Unit("rad/s")]
 GyroDensity = Annotated[float, _positive, Unit("rad/s/sqrt(Hz)")]
 GyroWalk = Annotated[float, _positive, Unit("rad/s^2/sqrt(Hz)")]
 AccelDensity = Annotated[float, _positive, Unit("m/s^2/sqrt(Hz)")]
+AccelWalk = Annotated[float, _positive, Unit("m/s^3/sqrt(Hz)")]
 Ratio = Annotated[float, _not_negative, Unit("1")]
+Frequency = Annotated[float, _positive, Unit("Hz")]
+AngleDensity = Annotated[float, _positive, Unit("deg/sqrt(s)")]
+JerkDensity = Annotated[float, _positive, Unit("deg/s^3.5")]
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -105,6 +109,10 @@ def _direction(value: object) -> object:
     if norm == 0.0:
         raise ValueError("should not be zero: it is a direction")
     return tuple(v / norm for v in vector)
+
+
+def _lever(value: object) -> object:
+    return _numbers(value, 3, "x, y, z in metres")
 
 
 def _field(value: object) -> object:
@@ -192,11 +200,16 @@ class Imu(Section):
     gyro_scale_sigma: Ratio | None = Field(
         None, description="scale and misalignment of the gyro, 1 sigma; none: 0 with a stated density, else 0.003"
     )
+    accel_scale_sigma: Ratio = Field(0.0, description="scale of the accelerometer axes, 1 sigma; 0: not a state")
+    accel_random_walk: AccelWalk = Field(1e-4, description="walk of the accelerometer bias; a consumer MEMS sensor")
     gyro_bias_sigma: Rate = Field(0.02, description="bias at the start, 1 sigma; 1.1 deg/s, a consumer MEMS gyro")
     accel_bias_sigma: Acceleration = Field(
         0.02, description="accelerometer bias, 1 sigma; 2 mg, a calibrated MEMS accelerometer"
     )
     noise_file: Path | None = Field(None, description="Kalibr imu.yaml, relative to the config file")
+    calibration: Path | None = Field(
+        None, description="calibration.toml of attest calibrate-bias, relative to the config file; what is stated wins"
+    )
     gyro_samples: Literal["point", "interval"] = Field(
         "point", description="a gyro sample is the rate at its stamp (trapezoid) or the mean since the stamp before"
     )
@@ -277,7 +290,9 @@ class Stops(Section):
 class Smoothing(Section):
     """Filter, smoother and what counts when."""
 
-    filter: Literal["auto", "indirect"] = Field("auto", description="forward filter; auto: indirect")
+    filter: Literal[
+        "auto", "indirect", "navigation", "tilt-ekf", "pseudo-linear", "projected", "geometric", "heading"
+    ] = Field("auto", description="forward filter; auto: indirect")
     smoother: Literal["two-filter", "rts", "paper", "none"] = Field(
         "two-filter",
         description="two-filter and rts: the same optimum; paper: the literal procedure; none: forward only",
@@ -300,6 +315,79 @@ class Smoothing(Section):
     position: Literal["auto", "strapdown", "literal", "odometry", "none"] = Field(
         "auto", description="auto: odometry if there, else strapdown; literal: eqs 41-44 of Roumeliotis et al. 1999"
     )
+
+
+class Navigation(Section):
+    """The navigation smoother: attitude, velocity, position and sensor errors together."""
+
+    motion: Literal["auto", "handheld", "static", "rover", "vehicle", "drone"] = Field(
+        "auto", description="weak bounds on speed and place where no sensor gives them; auto: from sensors and rates"
+    )
+
+
+class TiltEkf(Section):
+    """The filter of Vaganay et al. 1993: roll and pitch from accelerometer and gyro angles."""
+
+    lever_arm_m: Annotated[Vector, BeforeValidator(_lever)] = Field(
+        (0.0, 0.0, 0.0), description="place of the accelerometer from the vehicle's reference point, body axes, metres"
+    )
+    cutoff_hz: Frequency = Field(
+        10.0, description="Butterworth low-pass of specific force, speed and rates; Vaganay et al. 1993"
+    )
+    accel_noise_density: AccelDensity | None = Field(
+        None, description="of the specific force in motion, after compensation; none: from the log's motions"
+    )
+    angle_noise_density: AngleDensity | None = Field(
+        None, description="how the vehicle tilts: a random walk; none: its largest rate in the log, taken for usual"
+    )
+    gate_sigmas: Ratio = Field(
+        3.0, description="a component of gravity further off than this many sigma counts less; 0: no gate"
+    )
+
+
+class Heading(Section):
+    """The filter of Barshan and Durrant-Whyte 1994: heading from one gyro axis and a model of its bias."""
+
+    form: Literal["auto", "six-state", "indirect"] = Field(
+        "auto", description="six-state: as in the paper; indirect: bias from the stops; auto: indirect if the log stops"
+    )
+    c1_deg_s: Annotated[float, _finite, Unit("deg/s")] | None = Field(
+        None, description="bias C1 (1 - exp(-t/T)) + C2 about the vertical, t since the start; none: a random walk"
+    )
+    c2_deg_s: Annotated[float, _finite, Unit("deg/s")] | None = Field(None, description="see c1_deg_s")
+    time_constant_s: PositiveSeconds | None = Field(None, description="T of c1_deg_s")
+    parameter_sigma: Ratio = Field(
+        0.07, description="spread of C1 and C2 from run to run, a share; 7 % explains the paper's 5 deg in 10 min"
+    )
+    jerk_density: JerkDensity = Field(
+        30.0, description="of the fourth derivative of the heading; follows steps of 30 deg/s within two samples"
+    )
+
+    @model_validator(mode="after")
+    def _whole_model(self) -> Self:
+        if len({value is None for value in (self.c1_deg_s, self.c2_deg_s, self.time_constant_s)}) > 1:
+            raise ValueError("c1_deg_s, c2_deg_s and time_constant_s belong together: give all or none")
+        return self
+
+
+class Vertical(Section):
+    """The filters of Rehbinder and Hu: pseudo-linear, projected, geometric."""
+
+    acceleration: Literal["auto", "constant", "switching", "continuous"] = Field(
+        "auto", description="rule of the acceleration noise, eqs 1.43-1.48; auto: by the log's innovation likelihood"
+    )
+    acceleration_density: AccelDensity | None = Field(
+        None, description="noise of the specific force in motion, where it counts in full; none: from the log"
+    )
+    acceleration_limit: Acceleration | None = Field(
+        None, description="switching: threshold; continuous: what doubles the noise, 1/alpha; none: from the log"
+    )
+    window_s: Seconds | None = Field(None, description="window T0 of the acceleration, eq 1.46; none: from the log")
+    gyro_bias: bool = Field(True, description="estimate the gyro bias too; the paper does not")
+    gain: Literal["matrix", "scalar"] = Field(
+        "matrix", description="matrix: gyro noise across the vertical; scalar: in all directions, as in Corollary 1"
+    )
+    gain_rad_s: Rate | None = Field(None, description="gain l in full trust; none: from gyro and acceleration noise")
 
 
 class Body(Section):
@@ -353,6 +441,10 @@ class Settings(Section):
     gps: Gps = Gps()
     stops: Stops = Stops()
     smoothing: Smoothing = Smoothing()
+    navigation: Navigation = Navigation()
+    tilt_ekf: TiltEkf = TiltEkf()
+    heading: Heading = Heading()
+    vertical: Vertical = Vertical()
     body: Body = Body()
     gate: Gate = Gate()
     time: Time = Time()

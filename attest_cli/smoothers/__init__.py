@@ -10,10 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..maths import kalman, rotation
-from ..records import Array, FilterRun, Smoothed
+from ..records import Array, FilterRun, Ints, Smoothed
 from . import paper
 
-__all__ = ["SMOOTHERS", "backward_estimate"]
+__all__ = ["SMOOTHERS", "backward_estimate", "thinned"]
+
+SINGULAR = 1e-9  # least eigenvalue, of information scaled to a diagonal of ones, that still has an inverse
+FAR_RAD = np.pi / 6  # a backward pass this far from the forward one is not described by errors about it
 
 
 def two_filter(run: FilterRun) -> Smoothed:
@@ -43,8 +46,10 @@ SMOOTHERS: dict[str, Callable[[FilterRun], Smoothed]] = {
 
 def apply(run: FilterRun, errors: kalman.Errors) -> Smoothed:
     """Correct the forward estimate by the smoothed errors; covariances move to the tangent of the corrected
-    attitude.
+    attitude. A chain of other states is read by its own filter.
     """
+    if run.read is not None:
+        return run.read(errors)
     G = np.tile(np.eye(6), (len(run.t), 1, 1))
     G[:, :3, :3] = rotation.right_jacobian(errors.d[:, :3])
     q = rotation.multiply(run.q, rotation.exp_quaternion(errors.d[:, :3]))
@@ -58,28 +63,46 @@ def backward_estimate(
 ) -> tuple[Array, Array, Array]:
     """Return the backward pass as an estimate of its own: ``q`` (n, 4), ``bias`` (n, 3), ``P`` (n, 6, 6).
 
-    It holds the measurements after each node only. NaN where its attitude is not known to ``weakest`` rad in every
-    axis, or so far from the forward pass (30 deg) that errors about that pass do not describe it. Without a heading
-    sensor it borrows the forward heading, so that its tilt can be shown.
+    It holds the measurements after each node only. NaN where its attitude (without a heading sensor: its tilt) is not
+    known to ``weakest`` rad, or so far from the forward pass (30 deg) that errors about that pass do not describe it.
+    Without a heading sensor it borrows the forward heading, so that its tilt can be shown.
     """
     Y, y = information or kalman.information(run.chain)
-    if run.heading == "relative":
+    relative = run.heading == "relative"
+    if relative and run.read is None:
         up_b = rotation.matrix(run.q)[:, 2, :]
         known = np.einsum("ki,kij,kj->k", up_b, run.chain.P[:, :3, :3], up_b)
         Y = Y.copy()
         Y[:, :3, :3] += np.einsum("ki,kj->kij", up_b, up_b) / known[:, None, None]
-    n = len(run.t)
-    q, bias, P = np.full((n, 4), np.nan), np.full((n, 3), np.nan), np.full((n, 6, 6), np.nan)
-    scale = np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # rad and rad/s to comparable numbers
-    eigenvalues = np.linalg.eigvalsh(Y * scale[:, None] * scale)
-    known = np.flatnonzero(eigenvalues[:, 0] > 1e-9 * np.maximum(eigenvalues[:, -1], 1.0))
-    if len(known):
-        inverse = kalman.symmetric(np.linalg.inv(Y[known]))
-        d = np.einsum("kij,kj->ki", inverse, y[known])
-        good = (inverse[:, 0, 0] + inverse[:, 1, 1] + inverse[:, 2, 2] < weakest**2) & (
-            np.linalg.norm(d[:, :3], axis=1) < np.pi / 6
-        )
-        known, inverse, d = known[good], inverse[good], d[good]
-        q[known] = rotation.multiply(run.q[known], rotation.exp_quaternion(d[:, :3]))
-        bias[known], P[known] = run.bias[known] + d[:, 3:], inverse
-    return q, bias, P
+    size = np.sqrt(np.maximum(np.einsum("kii->ki", Y), 1e-300))  # makes rad and rad/s comparable
+    known = np.linalg.eigvalsh(Y / (size[:, :, None] * size[:, None, :]))[:, 0] > SINGULAR
+    d, P = np.zeros_like(run.chain.dx), run.chain.P.copy()
+    P[known] = kalman.symmetric(np.linalg.inv(Y[known]))
+    d[known] = np.einsum("kij,kj->ki", P[known], y[known])
+    found = apply(run, kalman.Errors(d, P, np.zeros_like(P[1:])))
+    apart = 2.0 * np.arccos(np.clip(np.abs(np.sum(found.q * run.q, axis=1)), 0.0, 1.0))
+    spread = np.einsum("kii->k", found.P[:, :3, :3])
+    if relative:
+        up_b = rotation.matrix(found.q)[:, 2, :]
+        spread -= np.einsum("ki,kij,kj->k", up_b, found.P[:, :3, :3], up_b)
+    unknown = ~known | (spread >= weakest**2) | (apart >= FAR_RAD)
+    for values in (found.q, found.bias, found.P):
+        values[unknown] = np.nan
+    return found.q, found.bias, found.P
+
+
+def thinned(smoothed: Smoothed, rows: Ints) -> Smoothed:
+    r"""Return the smoothed pass at some of its nodes, ``rows`` ascending.
+
+    The lag-one covariance across the nodes left out follows from the chain of errors:
+    :math:`\mathrm{Cov}(d_k,d_{k+m})=\mathrm{Cov}(d_k,d_{k+1})\prod_j P_{k+j}^{-1}\mathrm{Cov}(d_{k+j},d_{k+j+1})`.
+    """
+    cross, length = smoothed.cross[rows[:-1]].copy(), np.diff(rows)
+    for j in range(1, int(length.max(initial=0))):
+        more = np.flatnonzero(length > j)
+        at = rows[more] + j
+        cross[more] = cross[more] @ np.linalg.solve(smoothed.P[at], smoothed.cross[at])
+    return replace(
+        smoothed, t=smoothed.t[rows], q=smoothed.q[rows], bias=smoothed.bias[rows], P=smoothed.P[rows], cross=cross,
+        information=None,
+    )  # fmt: skip

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..errors import AttestError
 from ..maths import kalman, rotation
 from ..records import Array, Bools, FilterRun
 
@@ -21,12 +22,14 @@ def errors(run: FilterRun) -> kalman.Errors:
     at stops the forward value stands. Prior and past are in both filters: the states are nearly optimal, the bias
     sigma is too small by up to sqrt(2) (erratum 16 of the note).
     """
-    chain = run.chain
+    chain, increments = run.chain, run.increments
+    if increments is None:
+        raise AttestError("the paper's smoother runs over the nodes of the indirect filter only", "use --smoother rts")
     d, P = np.zeros_like(chain.dx), chain.P.copy()
     for first, last, close in _motions(run.moving):
         q_b, bias_b, P_b = run.q[close], run.bias[close], chain.P[close]
         for k in range(close - 1, first - 1, -1):
-            turn, Phi = run.increments.at(bias_b[None], k, k + 1)
+            turn, Phi = increments.at(bias_b[None], k, k + 1)
             q_b = rotation.multiply(q_b, rotation.conjugate(turn[0]))
             back = np.linalg.inv(Phi[0])
             P_b = kalman.symmetric(back @ (P_b + chain.Q[k]) @ back.T)

@@ -139,7 +139,7 @@ def test_advice_comes_when_the_forward_sigma_passes_the_threshold(
     first = work.segmentation.motions[0]
     middle = sigma[(run.t > first.start) & (run.t < first.end)]
     threshold = float(np.quantile(middle, 0.5))
-    advice = assess.stop_advice(run, smoothed, work.segmentation, work.noise, threshold)
+    advice = assess.stop_advice(run.t, run.moving, passes(run, smoothed), work.segmentation, work.noise, threshold)
     over = run.moving & (sigma > threshold)
     assert len(advice["lines"]) >= 1
     assert advice["axis"] == "heading"
@@ -152,24 +152,29 @@ def test_advice_comes_when_the_forward_sigma_passes_the_threshold(
 
 
 def test_a_wide_threshold_advises_nothing(work: Job, run: FilterRun, smoothed: Smoothed) -> None:
-    advice = assess.stop_advice(run, smoothed, work.segmentation, work.noise, 90.0)
+    advice = assess.stop_advice(run.t, run.moving, passes(run, smoothed), work.segmentation, work.noise, 90.0)
     assert advice["lines"] == []
     assert advice["share_over"] == 0.0
     assert advice["smoothed_below"]
-    assert not assess.stop_advice(run, smoothed, work.segmentation, work.noise, 1e-3)["smoothed_below"]
+    strict = assess.stop_advice(run.t, run.moving, passes(run, smoothed), work.segmentation, work.noise, 1e-3)
+    assert not strict["smoothed_below"]
 
 
 def test_longest_drive_grows_with_the_threshold_and_needs_a_stop(work: Job, run: FilterRun) -> None:
-    lengths = [assess.longest_drive(run, work.segmentation, work.noise, np.radians(d)) for d in (0.5, 1.0, 2.0, 5.0)]
+    forward = Pass(run.q, run.bias, run.chain.P)
+    lengths = [
+        assess.longest_drive(run.t, forward, work.segmentation, work.noise, np.radians(d)) for d in (0.5, 1.0, 2.0, 5.0)
+    ]
     assert all(a < b for a, b in pairwise(lengths))
     no_stops = replace(work.segmentation, segments=work.segmentation.motions)
-    assert assess.longest_drive(run, no_stops, work.noise, 0.1) is None
+    assert assess.longest_drive(run.t, forward, no_stops, work.noise, 0.1) is None
 
 
 def test_a_drive_as_long_as_advised_keeps_its_middle_below_the_threshold(work: Job, run: FilterRun) -> None:
     """Half-way between two stops as good as this log's, both passes equally sure."""
     threshold = np.radians(0.3)
-    length = assess.longest_drive(run, work.segmentation, work.noise, threshold)
+    forward = Pass(run.q, run.bias, run.chain.P)
+    length = assess.longest_drive(run.t, forward, work.segmentation, work.noise, threshold)
     assert length is not None
     ends = np.searchsorted(run.t, [s.used_end for s in work.segmentation.stops])
     P = np.median(run.chain.P[np.minimum(ends, len(run.t) - 1)], axis=0)

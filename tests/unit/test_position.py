@@ -40,12 +40,12 @@ class Drive:
         return position.inertial_position(
             imu or w.log.imu,
             self.q if q is None else q,
-            w.nodes,
             self.smoothed,
             w.segmentation,
             w.settings,
             GRAVITY,
-            literal,
+            w.noise.accel_density,
+            literal=literal,
         )
 
     def odometry(self, q_bv: Array = LEVEL) -> Position:

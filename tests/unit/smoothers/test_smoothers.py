@@ -15,7 +15,7 @@ from attest_cli.filters import indirect
 from attest_cli.maths import kalman, rotation
 from attest_cli.records import FilterRun, Smoothed
 from attest_cli.simulate import RoverOptions
-from attest_cli.smoothers import SMOOTHERS, apply, backward_estimate, gauss_newton, paper
+from attest_cli.smoothers import SMOOTHERS, apply, backward_estimate, gauss_newton, paper, thinned
 
 Array = NDArray[np.float64]
 
@@ -213,3 +213,18 @@ def test_gauss_newton_agrees_with_the_smoothers_where_errors_are_small(work: Job
     turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(two.q), found.q))
     assert np.abs(turn / sigma[:, :3]).max() < 0.3
     assert np.allclose(np.sqrt(np.einsum("kii->ki", found.P)), sigma, rtol=0.1)
+
+
+def test_thinned_keeps_the_joint_of_the_nodes_it_keeps(run: FilterRun) -> None:
+    """Leaving nodes out marginalises: the covariance between two kept ones is that of the whole chain."""
+    whole = SMOOTHERS["rts"](run)
+    few = thinned(whole, np.array([3, 4, 9, 10, 40]))
+    assert np.array_equal(few.P, whole.P[[3, 4, 9, 10, 40]])
+    assert np.array_equal(few.cross[0], whole.cross[3])
+    lag = whole.P[9]
+    for k in range(4, 9):
+        F = np.linalg.solve(whole.P[k], whole.cross[k])
+        lag = whole.P[k] @ F if k == 4 else lag @ F
+    assert np.allclose(few.cross[1], lag, rtol=1e-8, atol=1e-18)
+    again = thinned(thinned(whole, np.array([3, 9, 10, 25, 40])), np.array([0, 1, 4]))
+    assert np.allclose(again.cross, thinned(whole, np.array([3, 9, 40])).cross, rtol=1e-7, atol=1e-18)

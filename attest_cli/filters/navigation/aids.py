@@ -1,0 +1,255 @@
+"""What aids the inertial navigation: rows ``r = H d + v`` at the nodes, linearised about a trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ...maths import rotation
+from ...records import Array, Bools, Ints
+from ...sensors import Measurement
+from .model import Trajectory
+from .states import Layout
+
+CALM_S = 2.0
+STUDENT = 4.0  # degrees of freedom of the weights: outliers do not bend the track
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Measurements of one sensor: at ``node`` (k,), at ``t`` (k,): residual ``r`` (k, d), Jacobian ``H`` (k, d, s),
+    ``sigma`` (k, d).
+    """
+
+    node: Ints
+    t: Array
+    r: Array
+    H: Array
+    sigma: Array
+
+
+class Aid(Protocol):
+    """One sensor."""
+
+    @property
+    def role(self) -> str:
+        """Name among the innovations."""
+        ...
+
+    @property
+    def robust(self) -> bool:
+        """Whether its rows are weighted by Student's t."""
+        ...
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return its rows about a trajectory."""
+        ...
+
+
+def student(r: Array, sigma: Array, robust: bool) -> Array:
+    r"""Return the weights (k,) :math:`(\nu+d)/(\nu+|r/\sigma|^2)`, at most 1: a far residual counts less."""
+    if not robust:
+        return np.ones(len(r))
+    return np.asarray(np.minimum(1.0, (STUDENT + r.shape[1]) / (STUDENT + np.sum((r / sigma) ** 2, axis=1))))
+
+
+def blank(layout: Layout, k: int, d: int) -> Array:
+    """Return an empty Jacobian (k, d, s)."""
+    return np.zeros((k, d, layout.size))
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A state vector that stays about zero: velocity at a stop; weak bounds on the speed and place of a motion."""
+
+    role: str
+    part: str
+    node: Ints
+    t: Array
+    sigma: Array  # (k,)
+    robust: bool = False
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return ``0 - x``."""
+        part = layout.parts[self.part]
+        H = blank(layout, len(self.node), part.stop - part.start)
+        H[:, :, part] = np.eye(part.stop - part.start)
+        return Rows(self.node, self.t, -at.x[self.node, part], H, np.repeat(self.sigma[:, None], H.shape[1], axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroRate:
+    r"""Mean rates (k, 3) of a gyro that stands still: :math:`\bar\omega=b+v`."""
+
+    node: Ints
+    t: Array
+    rate: Array
+    sigma: Array
+    role: str = "zero_rate"
+    robust: bool = False
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return what the bias does not explain."""
+        part = layout.parts["gyro bias"]
+        H = blank(layout, len(self.node), 3)
+        H[:, :, part] = np.eye(3)
+        return Rows(self.node, self.t, self.rate - at.x[self.node, part], H, np.repeat(self.sigma[:, None], 3, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Measurements of attitude as the indirect filter takes them: sun, compass, orientation; one role each."""
+
+    role: str
+    measurements: tuple[Measurement, ...]
+    robust: bool = True
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return the residuals of each, whitened."""
+        node = np.array([m.node for m in self.measurements], dtype=np.int64)
+        R = rotation.matrix(at.q[node])
+        d = self.measurements[0].sensor.dof
+        r, H = np.zeros((len(node), d)), blank(layout, len(node), d)
+        for k, m in enumerate(self.measurements):
+            residual, slope = m.linearise(R[k], at.x[node[k], 9:12])
+            white = np.linalg.inv(np.linalg.cholesky(m.noise))
+            r[k], H[k, :, :3], H[k, :, 9:12] = white @ residual, white @ slope[:, :3], white @ slope[:, 3:]
+        return Rows(node, np.array([m.t for m in self.measurements]), r, H, np.ones_like(r))
+
+
+@dataclass(frozen=True, slots=True)
+class Magnetometer:
+    r"""The field in navigation axes, of which only the turn about the vertical is taken as attitude.
+
+    .. math:: R(m-h)=F+o\,[\text{moving}]+v
+
+    ``field_b`` (k, 3) means at the nodes; earth field ``F`` (horizontal, vertical) towards ``azimuth``; hard iron
+    ``h``; the motion offset ``o`` leaves the datum of heading to the stops. ``sigma`` (k,). Tesla.
+    """
+
+    node: Ints
+    t: Array
+    field_b: Array
+    moving: Bools
+    azimuth: float
+    sigma: Array
+    role: str = "magnetometer"
+    robust: bool = True
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return the residuals in navigation axes."""
+        R, x = rotation.matrix(at.q[self.node]), at.x[self.node]
+        h, F, o = (layout.parts[name] for name in ("hard iron", "earth field", "motion offset"))
+        towards = np.array([np.cos(self.azimuth), np.sin(self.azimuth), 0.0])
+        basis = np.stack([towards, [0.0, 0.0, 1.0]], axis=1)  # (3, 2)
+        field_n = np.einsum("kij,kj->ki", R, self.field_b - x[:, h])
+        r = field_n - x[:, F] @ basis.T - np.where(self.moving[:, None], x[:, o], 0.0)
+        H = blank(layout, len(self.node), 3)
+        across = np.stack([field_n[:, 1], -field_n[:, 0], np.zeros(len(r))], axis=1)
+        H[:, :, :3] = across[:, :, None] * R[:, 2][:, None, :]
+        H[:, :, h], H[:, :, F] = R, basis
+        H[:, :, o] = self.moving[:, None, None] * np.eye(3)
+        return Rows(self.node, self.t, r, H, np.repeat(self.sigma[:, None], 3, axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    r"""Positions (k, 3) in navigation axes: :math:`z=p+Rl+c-v\,\tau+v`, NaN = not measured.
+
+    ``l`` lever arm of the antenna, ``c`` its coloured error, :math:`\tau` how late its stamps are; each where it is a
+    state.
+    """
+
+    node: Ints
+    t: Array
+    place_n: Array
+    sigma: Array  # (k, 3)
+    lever_b: Array
+    role: str = "gps"
+    robust: bool = True
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return measured minus predicted place."""
+        R, x = rotation.matrix(at.q[self.node]), at.x[self.node]
+        H = blank(layout, len(self.node), 3)
+        arm = np.tile(self.lever_b, (len(R), 1))
+        predicted = at.p[self.node].copy()
+        H[:, :, 6:9] = np.eye(3)
+        if f"{self.role} lever arm" in layout:
+            part = layout.parts[f"{self.role} lever arm"]
+            arm = arm + x[:, part]
+            H[:, :, part] = R
+        predicted += np.einsum("kij,kj->ki", R, arm)
+        H[:, :, :3] = -R @ rotation.skew(arm)
+        if f"{self.role} drift" in layout:
+            part = layout.parts[f"{self.role} drift"]
+            predicted += x[:, part]
+            H[:, :, part] = np.eye(3)
+        if f"{self.role} lag" in layout:
+            part, v = layout.parts[f"{self.role} lag"], at.v[self.node]
+            predicted -= v * x[:, part]
+            H[:, :, part], H[:, :, 3:6] = -v[:, :, None], -x[:, part, None] * np.eye(3)
+        return _known(Rows(self.node, self.t, self.place_n - predicted, H, self.sigma))
+
+    def scaled(self, factor: float) -> Place:
+        """Return the aid with its sigma times ``factor``."""
+        return replace(self, sigma=self.sigma * factor)
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    r"""Velocity in vehicle axes (k, 3) from wheels; sideways and up it is the non-holonomic constraint.
+
+    .. math:: z=v_v+s\,\bar v_x e_x-\mu\times\bar v+\text{slip},\quad v_v=C_{vb}R^Tv
+
+    Scale ``s`` and mounting ``mu`` act on the calm velocity, its mean over two seconds: the IMU feels the body bounce,
+    the wheels do not, and a scale fitted to that would be too small.
+    """
+
+    node: Ints
+    t: Array
+    velocity_v: Array
+    sigma: Array  # (k, 3)
+    R_vb: Array
+    seat_sigma: Array  # (3,) rad, how well R_vb is known
+    role: str = "odometry"
+    robust: bool = True
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return measured minus predicted velocity."""
+        R, x = rotation.matrix(at.q[self.node]), at.x[self.node]
+        v_b = np.einsum("kji,kj->ki", R, at.v[self.node])
+        v_v = v_b @ self.R_vb.T
+        calm = _calm(v_v, self.t)
+        scale, seat, slip = (layout.parts[f"odometry {name}"] for name in ("scale", "mounting", "slip"))
+        predicted = v_v - np.cross(x[:, seat], calm) + x[:, slip]
+        predicted[:, 0] += x[:, scale.start] * calm[:, 0]
+        H = blank(layout, len(R), 3)
+        H[:, :, :3] = self.R_vb @ rotation.skew(v_b)
+        H[:, :, 3:6] = self.R_vb @ R.swapaxes(1, 2)
+        H[:, 0, scale.start] = calm[:, 0]
+        H[:, :, seat] = rotation.skew(calm)
+        H[:, :, slip] = np.eye(3)
+        return _known(Rows(self.node, self.t, self.velocity_v - predicted, H, self.sigma))
+
+    def scaled(self, factor: float) -> Wheels:
+        """Return the aid with its sigma times ``factor``."""
+        return replace(self, sigma=self.sigma * factor)
+
+
+def _calm(v: Array, t: Array) -> Array:
+    """Return the mean of ``v`` (k, 3) over ``CALM_S`` around each time."""
+    total = np.concatenate([np.zeros((1, v.shape[1])), np.cumsum(v, axis=0)])
+    lo = np.searchsorted(t, t - 0.5 * CALM_S, side="left")
+    hi = np.searchsorted(t, t + 0.5 * CALM_S, side="right")
+    return np.asarray((total[hi] - total[lo]) / (hi - lo)[:, None])
+
+
+def _known(rows: Rows) -> Rows:
+    """Take out what was not measured (NaN): a row of zeros says nothing."""
+    missing = ~np.isfinite(rows.r)
+    rows.r[missing] = 0.0
+    rows.H[missing] = 0.0
+    return rows

@@ -1,0 +1,330 @@
+"""From a drive to the problem of its navigation: which states, which aids, how noisy, and where to begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...maths import rotation
+from ...maths.propagation import run_steps
+from ...mounting import find_mounting, upright
+from ...nodes import Nodes
+from ...nodes.observations import at_stop
+from ...records import Array, Warn
+from .. import Drive
+from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
+from .model import Inertial, Trajectory, inertial_of
+from .start import heading_offset
+from .states import Layout, State, layout
+
+TILT_SIGMA, HEADING_SIGMA, DATUM = 0.3, 1.0, 1e-4  # rad, at the first node
+STILL_M_S = 0.01  # a stop may rock this much
+BOUND_S = 1.0  # correlation time of speed and place
+RATE_SHARE = 1e-3  # of the rate: what scale and misalignment leave as noise, rad/s/sqrt(Hz)
+ACCEL_FLOOR, ACCEL_SHARE = 0.05, 0.03  # m/s^2/sqrt(Hz) in motion where no density is stated; share of the acceleration
+SCALE_SIGMA = 5e-3
+FIELD_S = 5.0  # a disturbed field stays so
+OFFSET_SHARE, OFFSET_SHARE_NO_REST, IRON_SHARE = 0.1, 0.02, 0.007  # of the field
+REST_FLOOR, PLACE_SHARE, MOTION_FLOOR = 0.003, 0.01, 0.01  # of the field
+MAD = 1.4826
+SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
+STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
+LONGEST_HOLE_S = 1.0  # odometry is bridged over this
+PLACE_DRIFT, PLACE_DRIFT_S = 0.5, 60.0  # coloured error of fixes: share of their sigma, correlation time
+GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # where nothing is stated
+LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
+HALF_NODE_S = 0.05
+MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
+    "handheld": (2.0, 1.0),
+    "static": (0.1, 0.01),
+    "rover": (np.inf, 1.0),
+    "vehicle": (np.inf, 30.0),
+    "drone": (np.inf, 15.0),
+}
+LIVELY_WALK = 2e-4  # rad/s^2/sqrt(Hz) at 1 rad/s: a MEMS gyro's bias under lively motion, where no walk is stated
+LIVELY_RAD_S = 0.5  # rms rate in motion from which a log without wheels is taken as hand-held
+
+Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What the solver needs."""
+
+    layout: Layout
+    prior: tuple[Trajectory, Array]
+    inertial: Inertial
+    aids: tuple[Aid, ...]
+    at: Trajectory
+    tune: Tune
+    warnings: tuple[Warn, ...]
+
+
+def assemble(drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str) -> Problem:
+    """Build the problem about the attitude ``q`` (n, 4) and gyro bias (n, 3) of the indirect filter.
+
+    A heading that counts from the start is turned to where the fixes went.
+    """
+    places = [_place(drive, nodes, role) for role in ("gps", "position") if role in drive.log.fixes]
+    if heading == "relative" and places:
+        turn, _ = heading_offset(drive.log.imu, nodes.t, q, np.zeros(3), places[0])
+        q = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q)
+    aids, states = _inertial_aids(drive, nodes), _core_states(drive)
+    at_rest = bool((~nodes.moving).any())
+    field = None
+    if "magnetometer" in drive.log.fixes:
+        field = _field_at_nodes(drive, nodes, q, bias)
+        norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
+        offset = OFFSET_SHARE if at_rest else OFFSET_SHARE_NO_REST
+        states += [
+            State("hard iron", 3, IRON_SHARE * norm), State("earth field", 2, 0.3 * norm),
+            State("motion offset", 3, offset * norm),
+        ]  # fmt: skip
+    aids += _seen(nodes)
+    for place in places:
+        drift = PLACE_DRIFT * float(np.nanmedian(place.sigma))
+        states += [State(f"{place.role} drift", 3, drift, PLACE_DRIFT_S), State(f"{place.role} lag", 1, LAG_SIGMA_S)]
+        aids.append(place)
+    wheels, told = _wheels(drive, nodes, q, bias)
+    if wheels is not None:
+        cfg = drive.settings.odometry
+        states += [
+            State("odometry scale", 1, cfg.scale_sigma), State("odometry mounting", 3, wheels.seat_sigma),
+            State("odometry slip", 3, SLIP_SHARE * np.array([cfg.sigma_m_s, *[cfg.lateral_sigma_m_s] * 2]), SLIP_S),
+        ]  # fmt: skip
+        aids.append(wheels)
+    form = layout(states)
+    x = np.zeros((len(nodes.t), form.size))
+    x[:, form.parts["gyro bias"]] = bias
+    at = Trajectory(q, x)
+    if field is not None:
+        _start_field(field, form, at)
+        aids.append(_tuned_field(field, form, at, nodes.t))
+    prior = _prior(form, at, heading, placed=bool(places))
+    inertial = _inertial(drive, nodes, scaled="gyro scale" in form)
+    return Problem(form, prior, inertial, tuple(aids), at, _tuner(nodes.t), tuple(told))
+
+
+def motion_of(drive: Drive) -> str:
+    """Return what kind of motion the drive is taken for: it sets weak bounds on speed and place only."""
+    stated = drive.settings.navigation.motion
+    if stated != "auto":
+        return stated
+    if {"odometry", "gps", "position"} & drive.log.fixes.keys():
+        return "vehicle"
+    return "handheld" if _liveliness(drive) > LIVELY_RAD_S else "rover"
+
+
+def _liveliness(drive: Drive) -> float:
+    """Return the rms rate in motion, rad/s."""
+    moving = ~at_stop(drive.log.imu.t, drive.segmentation)
+    rate = drive.log.imu.gyro_b[moving] - drive.segmentation.bias_b
+    return float(np.sqrt(np.mean(np.sum(rate**2, axis=1)))) if len(rate) else 0.0
+
+
+def _core_states(drive: Drive) -> list[State]:
+    cfg = drive.settings
+    fast = bool({"gps", "position", "odometry"} & drive.log.fixes.keys())
+    states = [
+        State("attitude", 3, TILT_SIGMA), State("velocity", 3, 30.0 if fast else 1.0), State("position", 3, 1e-3),
+        State("gyro bias", 3, cfg.imu.gyro_bias_sigma), State("accelerometer bias", 3, cfg.imu.accel_bias_sigma),
+    ]  # fmt: skip
+    if drive.noise.gyro_scale > 0.0:
+        states.append(State("gyro scale", 9, max(SCALE_SIGMA, drive.noise.gyro_scale)))
+    if cfg.imu.accel_scale_sigma > 0.0:
+        states.append(State("accelerometer scale", 3, cfg.imu.accel_scale_sigma))
+    return states
+
+
+def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
+    """Return the IMU with the noise of each interval: what a stop shows, and more where it moves."""
+    noise, n = drive.noise, len(nodes.t)
+    bare = np.zeros(n - 1)
+    walk = noise.gyro_walk
+    if noise.sources["gyro_random_walk"] != "settings":
+        walk = float(np.hypot(walk, LIVELY_WALK * min(1.0, _liveliness(drive))))
+    walks = (walk**2, drive.settings.imu.accel_random_walk**2)
+    found = inertial_of(nodes, drive.log.imu, (bare, bare), walks, drive.world.gravity)
+    steps, starts = found.steps, found.steps.first[:-1]
+    span = np.add.reduceat(steps.dt, starts)
+    rate = np.sqrt(np.add.reduceat(np.sum((0.5 * (steps.rate0 + steps.rate1)) ** 2, axis=1) * steps.dt, starts) / span)
+    force = np.sqrt(np.add.reduceat(np.sum(found.force0**2, axis=1) * steps.dt, starts) / span)
+    moving = ~nodes.frozen
+    gyro = noise.n_r + np.where(moving & scaled, (RATE_SHARE * rate) ** 2, 0.0)
+    stated = drive.settings.imu.accel_noise_density is not None
+    lively = np.abs(force - drive.world.gravity)
+    unmodelled = 0.0 if stated else ACCEL_FLOOR**2 + (ACCEL_SHARE * lively) ** 2
+    accel = noise.accel_density**2 + np.where(moving, unmodelled, 0.0)
+    return replace(found, gyro=gyro, accel=accel)
+
+
+def _inertial_aids(drive: Drive, nodes: Nodes) -> list[Aid]:
+    """Rest and weak bounds."""
+    t, still, moving = nodes.t, np.flatnonzero(~nodes.moving), np.flatnonzero(nodes.moving)
+    aids: list[Aid] = [Bound("zero_velocity", "velocity", still, t[still], np.full(len(still), STILL_M_S))]
+    frozen = np.flatnonzero(nodes.frozen)
+    if len(frozen):
+        at = np.searchsorted(drive.log.imu.t, t)
+        summed = np.concatenate([np.zeros((1, 3)), np.cumsum(drive.log.imu.gyro_b, axis=0)])
+        count = np.maximum(at[frozen + 1] - at[frozen], 0)
+        has = count > 0
+        ends, starts = at[frozen + 1][has], at[frozen][has]
+        mean = (summed[ends] - summed[starts]) / count[has][:, None]
+        sigma = drive.noise.gyro_density / np.sqrt(np.diff(t)[frozen[has]])
+        aids.append(ZeroRate(frozen[has] + 1, t[frozen[has] + 1], mean, sigma))
+    place, speed = MOTIONS[motion_of(drive)]
+    if len(moving):
+        every = np.gradient(t)[moving] if len(t) > 1 else np.ones(1)
+        inflated = np.sqrt(np.maximum(1.0, 2.0 * BOUND_S / every))
+        if np.isfinite(place):
+            aids.append(Bound("place", "position", moving, t[moving], place * inflated, robust=True))
+        aids.append(Bound("speed", "velocity", moving, t[moving], speed * inflated, robust=True))
+    return aids
+
+
+def _seen(nodes: Nodes) -> list[Aid]:
+    """Sun, compass and orientation, as the indirect filter takes them."""
+    flat = [m for group in nodes.measurements for m in group]
+    roles = [role for role in ("sun", "compass", "orientation") if any(m.role == role for m in flat)]
+    return [Seen(role, tuple(m for m in flat if m.role == role)) for role in roles]
+
+
+def _field_at_nodes(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> Magnetometer:
+    """Return the field at the nodes: samples turned by the gyro into their nearest node, those of a stop into one."""
+    fixes, imu = drive.log.fixes["magnetometer"], drive.log.imu
+    known = np.isfinite(fixes.values).all(axis=1) & (fixes.t >= imu.t[0]) & (fixes.t <= imu.t[-1])
+    t, steps = fixes.t[known], nodes.steps
+    middle = np.where((nodes.frozen | nodes.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
+    grid, q_grid = _attitude(nodes, q, bias)
+    i = np.clip(np.searchsorted(grid, t, side="right") - 1, 0, len(grid) - 2)
+    owner = np.repeat(np.arange(len(middle)), steps.count)[i]
+    turn = rotation.exp_quaternion((steps.rate0[i] - middle[owner]) * (t - grid[i])[:, None])
+    field_n = rotation.rotate(rotation.multiply(q_grid[i], turn), fixes.values[known])
+    node = np.clip(np.searchsorted(nodes.t, t), 1, len(nodes.t) - 1)
+    node = np.where(t - nodes.t[node - 1] < nodes.t[node] - t, node - 1, node)
+    inside = at_stop(t, drive.segmentation)
+    first = np.searchsorted(nodes.t, [s.used_start - 1e-6 for s in drive.segmentation.stops])
+    number = np.searchsorted([s.used_start for s in drive.segmentation.stops], t, side="right") - 1
+    node[inside] = first[number[inside]] if len(first) else node[inside]
+    use = inside | nodes.moving[node]
+    n = len(nodes.t)
+    count = np.bincount(node[use], minlength=n)
+    total = np.stack([np.bincount(node[use], field_n[use, k], n) for k in range(3)], axis=1)
+    at = np.flatnonzero(count)
+    field_b = rotation.rotate(rotation.conjugate(q[at]), total[at] / count[at][:, None])
+    world = drive.world.field_n
+    azimuth = 0.5 * np.pi if world is None else float(np.arctan2(world[1], world[0]))
+    return Magnetometer(at, nodes.t[at], field_b, nodes.moving[at], azimuth, np.ones(len(at)))
+
+
+def _start_field(field: Magnetometer, form: Layout, at: Trajectory) -> None:
+    """Begin with the earth field that the rests show (the whole log where there is none)."""
+    seen = rotation.rotate(at.q[field.node], field.field_b)
+    typical = np.median(seen[~field.moving] if (~field.moving).any() else seen, axis=0)
+    at.x[:, form.parts["earth field"]] = [np.hypot(typical[0], typical[1]), typical[2]]
+
+
+def _tuned_field(field: Magnetometer, form: Layout, at: Trajectory, t: Array) -> Magnetometer:
+    r"""Return the magnetometer with the noise that its own residuals show: in motion :math:`\sigma_m\sqrt{2\tau/T}`, at
+    rest the scatter and the error of the place.
+    """
+    r = field.rows(form, at).r
+    norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
+    sigma, moving = np.empty(len(r)), field.moving
+    if moving.any():
+        scatter = max(MAD * float(np.median(np.abs(r[moving]))), MOTION_FLOOR * norm)
+        sigma[moving] = scatter * np.sqrt(np.maximum(1.0, 2.0 * FIELD_S / np.gradient(t)[field.node[moving]]))
+    if not moving.all():
+        scatter = max(MAD * float(np.median(np.abs(r[~moving]))), REST_FLOOR * norm)
+        sigma[~moving] = np.hypot(scatter, PLACE_SHARE * norm)
+    return replace(field, sigma=sigma)
+
+
+def _tuner(t: Array) -> Tune:
+    """Return what finds the noise of the aids again after a pass."""
+
+    def tune(aids: Sequence[Aid], form: Layout, at: Trajectory) -> list[Aid]:
+        return [_tuned_field(a, form, at, t) if isinstance(a, Magnetometer) else a for a in aids]
+
+    return tune
+
+
+def _prior(form: Layout, at: Trajectory, heading: str, *, placed: bool) -> tuple[Trajectory, Array]:
+    """Return the first state and its covariance: heading is a datum where nothing measures it."""
+    P = np.diag(form.prior())
+    R = rotation.matrix(at.q[0])
+    yaw = DATUM if heading == "relative" and not placed else HEADING_SIGMA
+    P[:3, :3] = (R.T * np.array([TILT_SIGMA, TILT_SIGMA, yaw]) ** 2) @ R
+    if placed:
+        P[6:9, 6:9] = 100.0**2 * np.eye(3)
+    return Trajectory(at.q[:1], at.x[:1]), P
+
+
+def _wheels(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> tuple[Wheels | None, list[Warn]]:
+    """Return the wheel speed at the moving nodes, on the IMU's clock, if the drive bears it out."""
+    odometry, cfg = drive.log.fixes.get("odometry"), drive.settings
+    if odometry is None:
+        return None, []
+    grid, q_grid = _attitude(nodes, q, bias)
+    at_samples = q_grid[np.searchsorted(grid, drive.log.imu.t - 1e-9).clip(0, len(grid) - 1)]
+    seat = find_mounting(drive.log.imu, at_samples, drive.segmentation, odometry, drive.world.gravity)
+    given = cfg.imu.mounting != "auto"
+    if seat is not None and seat.certain and seat.contradicted:
+        message = f"odometry is {1.0 / seat.scale:.2g} times the speed that the accelerometer shows: not used"
+        return None, [Warn("odometry-contradicts", message, "check its unit, sign and channel")]
+    found = seat is not None and seat.certain
+    if not given and not found and not upright(drive.segmentation, drive.log.imu):
+        message = "odometry not used: the drive does not show how the IMU sits in the vehicle"
+        return None, [Warn("odometry-not-used", message, "give [imu] mounting")]
+    R_vb, seat_sigma = np.eye(3), np.full(3, STATED_SEAT if given else ASSUMED_SEAT)
+    if seat is not None and found and not given:
+        R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma
+    t = odometry.t - (seat.lag if seat is not None else 0.0)
+    at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
+    near = np.abs(nodes.t[at] - t[np.clip(np.searchsorted(t, nodes.t[at]), 0, len(t) - 1)]) < LONGEST_HOLE_S
+    at = at[near]
+    values = np.nan_to_num(odometry.values)
+    velocity = np.stack([np.interp(nodes.t[at], t, values[:, k]) for k in range(3)], axis=1)
+    own = cfg.odometry
+    per = np.sqrt(max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t))), 1e-3)))
+    sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
+    return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma), []
+
+
+def _attitude(nodes: Nodes, q: Array, bias: Array) -> tuple[Array, Array]:
+    """Return the grid of samples and nodes (g,) and the attitude on it (g, 4), run on from every node."""
+    middle = np.where((nodes.frozen | nodes.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
+    grid = nodes.t[0] + np.concatenate([[0.0], np.cumsum(nodes.steps.dt)])
+    return grid, np.concatenate([q[:1], run_steps(nodes.steps, q[:-1], middle)])
+
+
+def _place(drive: Drive, nodes: Nodes, role: str) -> Place:
+    """Return the fixes at their nodes, metres east, north and up of the first one."""
+    fixes = drive.log.fixes[role]
+    known = np.isfinite(fixes.values[:, :2]).all(axis=1)
+    known &= (fixes.t >= nodes.t[0] - HALF_NODE_S) & (fixes.t <= nodes.t[-1] + HALF_NODE_S)
+    t, values = fixes.t[known], fixes.values[known]
+    place = values if role == "position" else _local(values)
+    stated = None if fixes.sigma is None else fixes.sigma[known]
+    default = POSITION_SIGMA_M if role == "position" else drive.settings.gps.sigma_m or GPS_SIGMA_M
+    sigma = np.full(place.shape, default) if stated is None else np.maximum(stated, 1e-3)
+    node = np.clip(np.searchsorted(nodes.t, t), 1, len(nodes.t) - 1)
+    node = np.where(t - nodes.t[node - 1] < nodes.t[node] - t, node - 1, node)
+    return Place(node, t, place - place[0], sigma, np.zeros(3), role)
+
+
+def _local(fixes: Array) -> Array:
+    """Return (k, 3) east, north, up in metres of the first fix; fixes in rad, rad, m above the ellipsoid (WGS 84)."""
+    from pymap3d import geodetic2enu
+
+    height = np.where(np.isfinite(fixes[:, 2]), fixes[:, 2], 0.0)
+    first = (fixes[0, 0], fixes[0, 1], height[0])
+    enu = geodetic2enu(fixes[:, 0], fixes[:, 1], height, *first, deg=False)
+    out = np.stack([np.asarray(part, dtype=np.float64) for part in enu], axis=1)
+    out[~np.isfinite(fixes[:, 2]), 2] = np.nan
+    return out
+
+
+__all__ = ["Problem", "assemble", "motion_of"]

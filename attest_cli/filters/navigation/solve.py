@@ -1,0 +1,170 @@
+"""The fixed-interval estimate: forward, backward, linearised again about the result, until it settles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...maths import kalman, rotation, sequential
+from ...records import Array, Innovations, Ints, Smoothed
+from .aids import Aid, Rows, student
+from .model import Inertial, Linear, Trajectory, linearise
+from .states import Layout
+
+SETTLED = 1e-2  # of a sigma: the largest move of any state in the last pass
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """The rows of all aids, whitened and weighted: ``r`` (n, m), ``H`` (n, m, s), zero where there is none;
+    ``places``: per aid its rows, their first place in the stack, and their weights.
+    """
+
+    r: Array
+    H: Array
+    places: tuple[tuple[Aid, Rows, Ints, Array], ...]
+
+
+def stack(aids: Sequence[Aid], layout: Layout, at: Trajectory) -> Stack:
+    """Put the rows of all aids on the nodes, as close as they go."""
+    n = len(at.q)
+    used = np.zeros(n, dtype=np.int64)
+    places = []
+    for aid in aids:
+        rows = aid.rows(layout, at)
+        first = used[rows.node].copy()
+        np.add.at(used, rows.node, rows.r.shape[1])
+        places.append((aid, rows, first, student(rows.r, rows.sigma, aid.robust)))
+    m = max(1, int(used.max(initial=0)))
+    r, H = np.zeros((n, m)), np.zeros((n, m, layout.size))
+    for _, rows, first, weight in places:
+        scale = np.sqrt(weight)[:, None] / rows.sigma
+        for j in range(rows.r.shape[1]):
+            r[rows.node, first + j] = scale[:, j] * rows.r[:, j]
+            H[rows.node, first + j] = scale[:, j, None] * rows.H[:, j]
+    return Stack(r, H, tuple(places))
+
+
+def forward(prior: Array, lin: Linear, rows: Stack, first: Array) -> sequential.Pass:
+    """Run the filter over the errors about a trajectory. ``prior`` (s, s) covariance, ``first`` (s,) mean at node 0."""
+    n, m = rows.r.shape
+    eye = np.eye(m)
+    measured = np.any(rows.H != 0.0, axis=(1, 2))
+
+    def predict(k: int, d: Array) -> tuple[Array, Array, Array]:
+        return lin.Phi[k] @ d + lin.u[k], lin.Phi[k], lin.Q[k]
+
+    def observe(k: int, d: Array, _: Array) -> tuple[Array, Array, Array] | None:
+        return (rows.r[k] - rows.H[k] @ d, rows.H[k], eye) if measured[k] else None
+
+    return sequential.run(n, first, prior, m, predict, observe)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """The last pass: the trajectory ``at`` it is linear about, the forward ``found``, smoothed ``errors`` about the
+    forward pass, the rows used, and whether it settled after ``passes``.
+    """
+
+    at: Trajectory
+    found: sequential.Pass
+    errors: kalman.Errors
+    rows: Stack
+    passes: int
+    settled: bool
+
+    @property
+    def smoothed(self) -> Trajectory:
+        """The smoothed trajectory."""
+        return self.at.moved(self.found.x + self.errors.d)
+
+
+def solve(
+    layout: Layout, prior: tuple[Trajectory, Array], inertial: Inertial, aids: Sequence[Aid], at: Trajectory,
+    most: int, tune: object = None,
+) -> Solution:  # fmt: skip
+    """Iterate forward and backward passes.
+
+    Parameters
+    ----------
+    prior : state at the first node (a trajectory of one) and its covariance (s, s)
+    at : trajectory to begin with
+    most : passes at most
+    tune : ``(aids, layout, trajectory) -> aids``: noise of the aids from the residuals of the last pass
+    """
+    settled, passes = False, 0
+    while True:
+        passes += 1
+        lin = linearise(inertial, layout, at)
+        rows = stack(aids, layout, at)
+        first, P0 = _prior(prior, at)
+        found = forward(P0, lin, rows, first)
+        errors = kalman.rts(found.chain)
+        d = found.x + errors.d
+        settled = bool(np.max(np.abs(d) / np.sqrt(np.einsum("kii->ki", errors.P) + 1e-300)) < SETTLED)
+        if passes >= most or settled:
+            return Solution(at, found, errors, rows, passes, settled)
+        at = at.moved(d)
+        if callable(tune):
+            aids = tune(aids, layout, at)
+
+
+def _prior(prior: tuple[Trajectory, Array], at: Trajectory) -> tuple[Array, Array]:
+    """Return mean and covariance of the first node's error about the trajectory."""
+    start, P = prior
+    first = start.x[0] - at.x[0]
+    first[:3] = rotation.log_quaternion(rotation.multiply(rotation.conjugate(at.q[:1]), start.q[:1]))[0]
+    J = np.eye(len(first))
+    J[:3, :3] = rotation.inverse_right_jacobian(first[:3][None])[0]
+    return first, kalman.symmetric(J @ P @ J.T)
+
+
+def read(found: Solution, t: Array, bias: slice, errors: kalman.Errors) -> Smoothed:
+    """Return attitude, gyro bias, velocity and position of the forward pass corrected by ``errors``."""
+    d = found.found.x + errors.d
+    moved, passes, settled = found.at.moved(d), found.passes, found.settled
+    T = np.zeros((len(t), 6, d.shape[1]))
+    T[:, :3, :3] = rotation.right_jacobian(d[:, :3])
+    T[:, 3:, bias] = np.eye(3)
+    P = kalman.symmetric(T @ errors.P @ T.swapaxes(1, 2))
+    cross = T[:-1] @ errors.cross @ T[1:].swapaxes(1, 2)
+    return Smoothed(
+        t,
+        moved.q,
+        moved.x[:, bias],
+        P,
+        cross,
+        passes=passes,
+        settled=settled,
+        v=moved.v,
+        p=moved.p,
+        P_vp=errors.P[:, 3:9, 3:9],
+    )
+
+
+def innovations(found: sequential.Pass, rows: Stack) -> Innovations:
+    """Return one row per measurement of every aid."""
+    role, t, node, dof, nis, z = [], [], [], [], [], []
+    for aid, part, first, weight in rows.places:
+        k, d = part.node, part.r.shape[1]
+        at = first[:, None] + np.arange(d)
+        nu, S = found.nu[k[:, None], at], found.S[k[:, None, None], at[:, :, None], at[:, None, :]]
+        role.append(np.full(len(k), aid.role))
+        t.append(part.t)
+        node.append(k)
+        dof.append(np.full(len(k), d))
+        nis.append(np.einsum("ki,ki->k", nu, np.linalg.solve(S, nu[:, :, None])[:, :, 0]))
+        values = np.full((len(k), 3), np.nan)
+        values[:, :d] = nu / np.sqrt(np.einsum("kii->ki", S))
+        z.append(values)
+        del weight
+    used = np.ones(sum(len(k) for k in node), dtype=np.bool_)
+    return Innovations(
+        np.concatenate(role), np.concatenate(t), np.concatenate(node), np.concatenate(dof), np.concatenate(nis), used,
+        np.concatenate(z),
+    )  # fmt: skip
+
+
+__all__ = ["Solution", "innovations", "read", "replace", "solve", "stack"]

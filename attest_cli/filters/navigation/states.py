@@ -1,0 +1,51 @@
+"""The states of the navigation smoother: which there are, how well they are known at the start, how they wander."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...records import Array
+
+CORE = ("attitude", "velocity", "position", "gyro bias", "accelerometer bias")
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A group of states. ``sigma`` prior (one for all, or one each); ``correlation_s``: 0 = a constant (it may walk),
+    else a Gauss-Markov error of this time whose sigma stays.
+    """
+
+    name: str
+    size: int
+    sigma: float | Array
+    correlation_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where each group of states stands in the vector: ``parts[name]`` is a slice; ``size`` of them all."""
+
+    states: tuple[State, ...]
+    parts: Mapping[str, slice]
+    size: int
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether the log calls for this group."""
+        return name in self.parts
+
+    def prior(self) -> Array:
+        """Return the prior variances (size,)."""
+        return np.concatenate([np.full(s.size, 1.0) * np.asarray(s.sigma) ** 2 for s in self.states])
+
+
+def layout(states: Iterable[State]) -> Layout:
+    """Return the layout of groups in their order; the five of ``CORE`` come first."""
+    found, parts, at = tuple(states), {}, 0
+    for s in found:
+        parts[s.name] = slice(at, at + s.size)
+        at += s.size
+    assert tuple(s.name for s in found[:5]) == CORE
+    return Layout(found, parts, at)

@@ -1,0 +1,155 @@
+"""The navigation smoother on simulated drives: errors inside their sigma, states found, noise found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from support.drives import effective
+
+from attest_cli import estimate
+from attest_cli.filters import Drive, navigation
+from attest_cli.filters.navigation.aids import Place, student
+from attest_cli.filters.navigation.start import heading_offset
+from attest_cli.maths import rotation
+from attest_cli.nodes.noise import find_noise
+from attest_cli.prepare import prepare
+from attest_cli.records import Fixes, Imu, Log, Segmentation
+from attest_cli.segment import find_segments
+from attest_cli.settings import Settings
+from attest_cli.simulate import RoverOptions, simulate_rover
+from attest_cli.simulate.rover import rover_drive
+from attest_cli.world import find_world
+
+Array = NDArray[np.float64]
+
+
+@cache
+def drive(**options: object) -> tuple[RoverOptions, Log, Segmentation, Settings]:
+    chosen = RoverOptions(scenario="S2", motions=2, motion_s=(30.0, 40.0), stop_s=(8.0, 10.0), **options)  # type: ignore[arg-type]
+    made = simulate_rover(chosen)
+    settings = effective(made, {"smoothing": {"filter": "navigation"}})
+    log = prepare([made.log], settings)
+    return chosen, log, find_segments(log, settings), settings
+
+
+def judged(**options: object) -> tuple[estimate.Estimate, Array, Array]:
+    """Return the estimate and the true minus estimated attitude and position at its nodes in motion."""
+    chosen, log, segmentation, settings = drive(**options)
+    est = estimate.estimate(log, segmentation, settings)
+    truth = rover_drive(chosen).at(est.smoothed.t)
+    assert est.smoothed.p is not None
+    attitude = rotation.log_quaternion(rotation.multiply(rotation.conjugate(est.smoothed.q), truth.q_nb))
+    return est, attitude, truth.position_n - truth.position_n[0] - est.smoothed.p
+
+
+def nees(e: Array, P: Array) -> Array:
+    return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(P, e[:, :, None])[:, :, 0]))
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_attitude_and_place_are_inside_their_sigma(seed: int) -> None:
+    est, attitude, place = judged(seed=seed, odometry=True)
+    assert est.smoothed.P_vp is not None
+    for e, P in ((attitude, est.smoothed.P[:, :3, :3]), (place, est.smoothed.P_vp[:, 3:, 3:])):
+        ends = [int(np.searchsorted(est.smoothed.t, t)) for t in (20.0, 45.0, 65.0)]
+        assert nees(e, P + 1e-12 * np.eye(3))[ends].max() < chi2.isf(1e-4 / 12, 3)
+    distance = 70.0 * 0.3
+    assert np.linalg.norm(place[-1]) < 0.03 * distance
+
+
+def test_wheels_hold_the_place_that_the_imu_alone_loses() -> None:
+    _, _, alone = judged(seed=13)
+    _, _, wheels = judged(seed=13, odometry=True)
+    assert np.linalg.norm(wheels[-1]) < 0.5 * np.linalg.norm(alone[-1])
+
+
+def test_a_wheel_scale_is_found() -> None:
+    """Wheels that read a fifth too much, with a prior wide enough for it: the IMU shows it."""
+    chosen, log, segmentation, settings = drive(seed=14, odometry=True)
+    odometry = log.fixes["odometry"]
+    faster = Fixes("odometry", odometry.channel, odometry.t, odometry.values * 1.2)
+    wide = Settings.model_validate({**settings.model_dump(exclude_unset=True), "odometry": {"scale_sigma": 0.3}})
+    est = estimate.estimate(replace(log, fixes={**log.fixes, "odometry": faster}), segmentation, wide)
+    truth = rover_drive(chosen).at(est.smoothed.t)
+    assert est.smoothed.v is not None
+    moving = truth.moving
+    found, true = (np.linalg.norm(v[moving], axis=1).mean() for v in (est.smoothed.v, truth.velocity_n))
+    assert abs(found / true - 1.0) < 0.1
+
+
+def car(seed: int, lag: float = 0.0, sigma: float = 0.5, turn: float = 2.0) -> tuple[Drive, Array, Array]:
+    """A lively car on a plane, known exactly: IMU at 100 Hz, places once a second; its axes start at heading 0, the
+    places are turned by ``turn``.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 120.0, 0.01)
+    heading = 0.8 * np.sin(0.15 * t) + 0.02 * t
+    rate = 0.8 * 0.15 * np.cos(0.15 * t) + 0.02
+    speed = 8.0 + 3.0 * np.sin(0.3 * t)
+    gain = 0.9 * np.cos(0.3 * t)
+    v = speed[:, None] * np.stack([np.cos(heading), np.sin(heading), 0 * t], axis=1)
+    p = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (v[1:] + v[:-1]) * 0.01, axis=0)])
+    zero = np.zeros_like(t)
+    gyro = np.stack([zero, zero, rate], axis=1) + np.array([0.002, -0.003, 0.004]) + rng.normal(0, 2e-3, (len(t), 3))
+    force = np.stack([gain, speed * rate, zero + 9.80665], axis=1) + rng.normal(0, 0.05, (len(t), 3))
+    when = np.arange(0.5, 119.0, 1.0)
+    R = rotation.matrix(rotation.exp_quaternion(np.array([0.0, 0.0, turn])))
+    place = np.stack([np.interp(when - lag, t, p[:, i]) for i in range(3)], axis=1) @ R.T
+    place += rng.normal(0.0, sigma, place.shape)
+    stamps = (t * 1e9).astype(np.int64)
+    fixes = {"position": Fixes("position", "fixes", when, place)}
+    log = Log((), 0, stamps, Imu(t, gyro, force), fixes, np.zeros((0, 2)), {})
+    settings = Settings()
+    segmentation = find_segments(log, settings)
+    truth = (p @ R.T)[::10]
+    return (
+        Drive(log, segmentation, find_world(log, settings), find_noise(log, segmentation, settings), settings),
+        truth,
+        t[::10],
+    )
+
+
+@pytest.mark.parametrize("turn", [-3.0, 0.5, 2.0])
+def test_heading_is_found_from_where_the_car_went(turn: float) -> None:
+    work, _, _ = car(1, turn=turn)
+    fixes = work.log.fixes["position"]
+    t = work.log.imu.t[::10]
+    heading = 0.8 * np.sin(0.15 * t) + 0.02 * t
+    q = rotation.exp_quaternion(np.stack([0 * t, 0 * t, heading], axis=1))
+    place = Place(
+        np.zeros(len(fixes.t), dtype=np.int64), fixes.t, fixes.values, np.ones((len(fixes.t), 3)), np.zeros(3)
+    )
+    found, sigma = heading_offset(work.log.imu, t, q, np.zeros(3), place)
+    assert abs(np.angle(np.exp(1j * (found - turn)))) < 5.0 * sigma
+    assert sigma < 0.15
+
+
+def test_car_noise_clock_and_heading_are_found_from_the_log_alone() -> None:
+    """Nothing is stated: neither the fixes' 0.5 m nor that they are 0.2 s late; the first fix is the origin."""
+    work, truth, t = car(2, lag=0.2)
+    found = navigation.forward(work)
+    assert found.run.read is not None
+    assert any("late" in w.message for w in found.warnings)
+    run = found.run
+    smoothed = run.read(navigation.solve.kalman.rts(run.chain))
+    assert smoothed.p is not None
+    assert smoothed.P_vp is not None
+    at = np.stack([np.interp(smoothed.t, t, truth[:, i]) for i in range(3)], axis=1)
+    apart = (at - smoothed.p)[:, :2]
+    apart -= apart.mean(axis=0)  # the first fix's own error
+    assert np.sqrt(np.mean(np.sum(apart**2, axis=1))) < 0.5
+    sigma = np.sqrt(np.einsum("kii->ki", smoothed.P_vp[:, 3:, 3:]))
+    assert np.mean(np.abs(apart) < 3.0 * sigma[:, :2]) > 0.9
+
+
+def test_students_weights_spare_what_fits_and_fade_what_does_not() -> None:
+    r = np.array([[0.5, 0.0, 0.0], [30.0, 0.0, 0.0]])
+    near, far = student(r, np.ones_like(r), robust=True)
+    assert near == 1.0
+    assert far == pytest.approx((4 + 3) / (4 + 900))
+    assert np.all(student(r, np.ones_like(r), robust=False) == 1.0)
