@@ -163,13 +163,13 @@ class Drive:
         pitch_u = -(height_uu * level - height_u * level_u) / length**2
         angles = np.column_stack([roll, -np.arctan2(height_u, level), heading])
         rates = u_dot[:, None] * np.column_stack([roll_u, pitch_u, (p_uu / p_u).imag])
-        shaken, shaken_rate, _ = _windowed(self.shake.at(t), windows)
+        shaken, shaken_rate, _ = windowed(self.shake.at(t), windows)
         R_nb, q_nb, rate_b = attitude(angles + shaken, rates + shaken_rate)
 
-        bounced = _windowed(self.bounce.at(t), windows)
+        bounced = windowed(self.bounce.at(t), windows)
         if self.idle is not None:
             at_rest = (1.0 - windows[0], -windows[1], -windows[2])
-            bounced = tuple(a + b for a, b in zip(bounced, _windowed(self.idle.at(t), at_rest), strict=True))
+            bounced = tuple(a + b for a, b in zip(bounced, windowed(self.idle.at(t), at_rest), strict=True))
         first = np.column_stack([p_u.real, p_u.imag, height_u])
         second = np.column_stack([p_uu.real, p_uu.imag, height_uu])
         acceleration = u_ddot[:, None] * first + u_dot[:, None] ** 2 * second + bounced[2]
@@ -187,7 +187,7 @@ class Drive:
         )
 
 
-def _windowed(wave: tuple[Array, ...], window: tuple[Array, ...]) -> tuple[Array, ...]:
+def windowed(wave: tuple[Array, ...], window: tuple[Array, ...]) -> tuple[Array, ...]:
     """Product of two functions given as (value, first, second derivative)."""
     (s, ds, dds), (w, dw, ddw) = wave, window
     return w * s, dw * s + w * ds, ddw * s + 2.0 * dw * ds + w * dds

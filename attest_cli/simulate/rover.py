@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import AttestError
-from ..records import Array, Channel, Ints, Recording
+from ..records import Array, Channel, Ints
 from . import instruments
 from .drive import RAMP_S, Drive, Kinematics, Route, Timeline, Waves, attitude
+from .simulation import Simulation, random_stream, recording, seconds, stamps_of, truth_columns
 
 Variant = Literal["nominal", "slow", "slow-no-vibration", "idle-engine", "biased", "noisy"]
 VARIANTS: tuple[Variant, ...] = ("nominal", "slow", "slow-no-vibration", "idle-engine", "biased", "noisy")
 
-START_NS = 1_780_308_000_000_000_000  # 2026-06-01T10:00:00Z
 GYRO_NOISE, GYRO_WALK, GYRO_BIAS = 1.5e-4, 5e-6, 5e-3  # rad/s/sqrt(Hz), rad/s^2/sqrt(Hz), rad/s
 ACCEL_NOISE, ACCEL_WALK, ACCEL_BIAS = 0.02 / math.sqrt(100.0), 1e-4, 0.02  # 0.02 m/s^2 per sample at 100 Hz
 SHAKE_RAD_S, BOUNCE_M_S2, IDLE_M_S2 = 0.04, 0.5, 0.05  # rms per axis
@@ -65,20 +62,6 @@ class RoverOptions:
             raise AttestError(f"IMU rate of {self.rate_hz:g} Hz", "choose 1 to 10000 Hz")
 
 
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """A log with its truth.
-
-    ``truth``: columns of the truth file; ``stops`` (k, 2): true stops in s since the first stamp; ``settings``:
-    content of the ``attest.toml`` that goes with the log.
-    """
-
-    log: Recording
-    truth: Mapping[str, NDArray[Any]]
-    stops: Array
-    settings: Mapping[str, Mapping[str, Any]]
-
-
 def simulate_rover(options: RoverOptions) -> Simulation:
     """Simulate a rover's drive: analytic truth, point samples of rate and specific force, seeded errors.
 
@@ -90,8 +73,8 @@ def simulate_rover(options: RoverOptions) -> Simulation:
     drive = rover_drive(options)
     period_ns = round(1e9 / options.rate_hz)
     period = period_ns * 1e-9
-    n = round(drive.timeline.duration / period)
-    stamps = START_NS + period_ns * np.arange(n, dtype=np.int64)
+    stamps = stamps_of(drive.timeline.duration, period_ns)
+    n = stamps.size
     clean = drive.at(seconds(stamps))
 
     gyro_sigma, accel_sigma, loud = bias_sigmas(options)
@@ -105,16 +88,11 @@ def simulate_rover(options: RoverOptions) -> Simulation:
     channels += _aiding_channels(options, drive, stamps)
 
     return Simulation(
-        log=Recording(Path("rover"), "simulation", tuple(channels), sum(c.stamps_ns.size for c in channels)),
+        log=recording("rover", channels),
         truth=truth_columns(stamps, clean, gyro_bias, accel_bias),
         stops=drive.timeline.stops,
         settings=rover_settings(options),
     )
-
-
-def seconds(stamps: Ints) -> Array:
-    """Seconds since the start of the drive, subtracted as integers."""
-    return np.asarray((stamps - START_NS) * 1e-9)
 
 
 def bias_sigmas(options: RoverOptions) -> tuple[float, float, float]:
@@ -142,7 +120,7 @@ def rover_drive(options: RoverOptions) -> Drive:
 
 def _rng(options: RoverOptions, stream: str) -> np.random.Generator:
     """One stream per purpose, so that an option more does not change the rest of the log."""
-    return np.random.default_rng([options.seed, *stream.encode()])
+    return random_stream(options.seed, stream)
 
 
 def _timeline(rng: np.random.Generator, options: RoverOptions) -> Timeline:
@@ -234,21 +212,6 @@ def sun_mounting() -> tuple[Array, list[float]]:
     """Mounting of the sun sensor, body from sensor: matrix and quaternion (w, x, y, z)."""
     R_bs, q_bs, _ = attitude(np.radians([SUN_MOUNT_DEG]), np.zeros((1, 3)))
     return R_bs[0], [float(part) for part in q_bs[0]]
-
-
-def truth_columns(stamps: Ints, clean: Kinematics, gyro_bias: Array, accel_bias: Array) -> dict[str, NDArray[Any]]:
-    """Columns of the truth file: those of a track, without sigmas."""
-    columns: dict[str, NDArray[Any]] = {"timestamp_ns": stamps, "t_s": clean.t}
-    columns |= {f"q_{part}": clean.q_nb[:, k] for k, part in enumerate("wxyz")}
-    vectors = {
-        "position_{}_m": clean.position_n,
-        "velocity_{}_m_s": clean.velocity_n,
-        "gyro_bias_{}_rad_s": gyro_bias,
-        "accel_bias_{}_m_s2": accel_bias,
-    }
-    for name, vector in vectors.items():
-        columns |= {name.format(axis): vector[:, k] for k, axis in enumerate("xyz")}
-    return columns | {"moving": clean.moving}
 
 
 def rover_settings(options: RoverOptions) -> dict[str, dict[str, Any]]:

@@ -273,7 +273,7 @@ def test_length_follows_the_options() -> None:
         simulate_rover(RoverOptions(duration_s=20.0))
     with pytest.raises(AttestError, match="unknown variant"):
         RoverOptions(variant="fast")  # type: ignore[arg-type]
-    assert SCENARIOS["rover"] is simulate_rover
+    assert SCENARIOS["rover"] == (RoverOptions, simulate_rover)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
