@@ -117,7 +117,7 @@ def _warnings(run: FilterRun, smoothed: Smoothed, settings: Settings, *, over_no
     if run.absent:
         told.append(
             Warn("not-estimated", f"{named(cfg.filter)} does not estimate {' and '.join(run.absent)}",
-                 "what stands there is dead reckoning or level, with the sigma of that; --filter indirect estimates all")
+                 "what stands there is dead reckoning or level, with its sigma; --filter indirect estimates all")
         )  # fmt: skip
     elif run.heading == "relative":
         hint = "add a compass, a sun sensor or a magnetometer"

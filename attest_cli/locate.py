@@ -49,7 +49,7 @@ def locate(
         wheels, doubts = _trusted(log, segmentation, odometry, seat, settings)
         told += doubts
     vehicle = _vehicle(seat if wheels is not None else None, settings)
-    if est.smoothed.p is not None and mode in {"auto", "navigation"}:
+    if est.smoothed.p is not None and mode == "auto":
         return position.navigated(log.imu.t, est.smoothed, segmentation), vehicle, told
     if wheels is not None and mode in {"auto", "odometry"}:
         q_bv = seat.q_bv if seat is not None and settings.imu.mounting == "auto" and seat.certain else IDENTITY

@@ -31,9 +31,8 @@ class BiasModel:
     ``name``: constant, ramp, exponential, temperature, random-walk. ``values`` and ``covariance`` (p, p) in the order
     of ``names`` (for example ``C1, C2, T``: rad/s, rad/s, s; of the random walk the bias at the last block and the K it
     was followed with); ``fitted`` (m,) and ``sigma`` (m,) at the blocks of ``Rest``, with the random walk that was seen
-    or could hide in what the curve leaves; ``bic`` lower is better; ``walk`` K of the
-    random walk that stands beside the curve, in the mean of its likelihood; ``notes`` honest refusals such as a record too
-    short for ``T``.
+    or could hide in what the curve leaves; ``bic`` lower is better; ``walk`` K of the random walk that stands beside
+    the curve, in the mean of its likelihood; ``notes`` honest refusals such as a record too short for ``T``.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""``python -m attest_cli.commands.schemas FOLDER``: write the JSON Schemas of config file, report and track."""
+"""``python -m attest_cli.commands.schemas FOLDER``: write the JSON Schemas of the settings, of files and reports."""
 
 from __future__ import annotations
 
@@ -9,10 +9,18 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from ..report.evaluation import EvaluationReport
 from ..report.model import Report, TrackRow
 from ..settings import Settings
+from ..settings.calibration import CalibrationFile
 
-SCHEMAS: Mapping[str, type[BaseModel]] = {"config": Settings, "report": Report, "track": TrackRow}
+SCHEMAS: Mapping[str, type[BaseModel]] = {
+    "calibration": CalibrationFile,
+    "config": Settings,
+    "evaluation": EvaluationReport,
+    "report": Report,
+    "track": TrackRow,
+}
 
 
 def text(model: type[BaseModel]) -> str:

@@ -46,7 +46,7 @@ class Level:
         .. math:: \delta\theta=-[\hat u\times]\,\delta u+\hat u\,\delta\psi
 
         with the heading error :math:`\delta\psi` a random walk of the gyro's noise plus what the unknown bias about the
-        vertical makes of the time.
+        vertical makes of the time; where no state holds the bias, its error is another after each stop.
         """
         s, x = self.samples, self.x + errors.d
         up, slope = self.up(x)
@@ -57,23 +57,39 @@ class Level:
         P = symmetric(T @ errors.P @ T.swapaxes(1, 2))
         cross = T[:-1] @ errors.cross @ T[1:].swapaxes(1, 2)
         free = np.where(np.any(self.bias != 0.0, axis=1), 0.0, s.bias_sigma**2)
+        heading, heading_cross = self._heading(np.einsum("ki,kij,kj->k", up, P[:, 3:, 3:], up), up**2 @ free)
         P[:, 3:, 3:] += np.diag(free)
         cross[:, 3:, 3:] += np.diag(free)
         one_sided = not (errors.d.any() and errors.cross.any())  # forward: nothing moved; backward: node by node
         P[:, :3, :3] += (self.tilt**2 + one_sided * self.lag**2) * (np.eye(3) - up[:, :, None] * up[:, None, :])
         cross[:, :3, :3] += self.tilt**2 * (np.eye(3) - up[:-1, :, None] * up[1:, None, :])
-        walk, ramp = self._heading(np.sqrt(np.einsum("ki,kij,kj->k", up, P[:, 3:, 3:], up)))
-        P[:, :3, :3] += np.einsum("ki,kj,k->kij", up, up, walk + ramp**2)
-        cross[:, :3, :3] += np.einsum("ki,kj,k->kij", up[:-1], up[1:], walk[:-1] + ramp[:-1] * ramp[1:])
+        P[:, :3, :3] += np.einsum("ki,kj,k->kij", up, up, heading)
+        cross[:, :3, :3] += np.einsum("ki,kj,k->kij", up[:-1], up[1:], heading_cross)
         return Smoothed(s.t, q, s.bias_b + b, P, cross)
 
-    def _heading(self, sigma: Array) -> tuple[Array, Array]:
-        """Return the variance of the walk (n,) and the sigma of the ramp (n,) of the heading, rad^2 and rad."""
+    def _heading(self, known: Array, free: Array) -> tuple[Array, Array]:
+        """Return variance (n,) and lag-one covariance (n - 1,) of the heading, rad^2, from the variances (n,) of the
+        bias about the vertical: of one that states hold, and of one that the stops leave, (rad/s)^2.
+        """
         s = self.samples
-        free = np.where(self.held, 0.0, s.dt)
-        walk = np.concatenate([[0.0], np.cumsum(s.density * free + np.where(s.gap, np.pi**2 / 3, 0.0))])
-        ramp = np.concatenate([[0.0], np.cumsum(0.5 * (sigma[1:] + sigma[:-1]) * free)])
-        return DATUM**2 + walk, ramp
+        turning = np.where(self.held, 0.0, s.dt)
+        walk = DATUM**2 + _summed(s.density * turning + np.where(s.gap, np.pi**2 / 3, 0.0))
+        begins = np.concatenate([[True], s.still[1:] & ~s.still[:-1]])  # at each stop another error
+        piece = np.cumsum(begins) - 1
+        variance, covariance = walk, walk[:-1]
+        for sigma, part in ((np.sqrt(known), np.zeros_like(piece)), (np.sqrt(free), piece)):
+            ramp = _summed(0.5 * (sigma[1:] + sigma[:-1]) * turning)
+            start = ramp[np.flatnonzero(np.diff(part, prepend=-1))]
+            done = _summed(np.diff(start) ** 2)[part]
+            since = ramp - start[part]
+            variance = variance + done + since**2
+            covariance = covariance + done[:-1] + since[:-1] * (ramp[1:] - start[part[:-1]])
+        return variance, covariance
+
+
+def _summed(steps: Array) -> Array:
+    """Return the running sums (n,) of steps (n - 1,), zero first."""
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def upright(up_b: Array) -> Array:

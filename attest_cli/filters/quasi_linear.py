@@ -18,7 +18,7 @@ from ..settings import Settings
 from . import Drive, Forward
 from .acceleration import Rule
 from .level import Level, run_of
-from .rule_choice import GYRO_GRID, Carried, Choice, carry, choose, constant, frames, rough, rules_to_try, vertical
+from .rule_choice import GYRO_GRID, Carried, Choice, choose, constant, frames, levelled, rough, rules_to_try, vertical
 from .samples import Samples, samples
 from .vertical import NO_RESTS, Method, Rests, Turns, Weigh, observe, up
 
@@ -50,10 +50,10 @@ class Problem:
     """A drive as these filters see it (n samples).
 
     ``y`` (n, 3) specific force over gravity; ``held`` (n - 1,) steps that do not turn; ``turns_b`` (n - 1, 3) rad the
-    gyro's turns, none while held, and ``free`` (n - 1,) s in which it is integrated; ``dt`` s usual step; ``quiet``
-    density of the accelerometer at rest, 1/Hz; ``walk`` density of the gyro's bias, (rad/s^2)^2/Hz, known to
-    ``bias_sigma`` before the log; ``rests`` what the stops say of the bias that is left; ``causal``: no smoother
-    follows, and accelerations are seen from the past alone.
+    gyro's turns, none while held, ``free`` (n - 1,) s in which it is integrated, ``q`` (n, 4) where it leads; ``dt`` s
+    usual step; ``quiet`` density of the accelerometer at rest, 1/Hz; ``walk`` density of the gyro's bias,
+    (rad/s^2)^2/Hz, known to ``bias_sigma`` before the log; ``rests`` what the stops say of the bias that is left;
+    ``causal``: no smoother follows, and accelerations are seen from the past alone.
     """
 
     samples: Samples
@@ -61,6 +61,7 @@ class Problem:
     held: Bools
     turns_b: Array
     free: Array
+    q: Array
     dt: float
     quiet: float
     walk: float
@@ -73,12 +74,14 @@ class Problem:
         """Make it of a drive."""
         s, zero_rate = samples(drive), drive.settings.smoothing.zero_rate
         held = s.still[1:] & s.still[:-1] & zero_rate
+        turns_b = np.where(held[:, None], 0.0, s.turn_b)
         return cls(
             samples=s,
             y=s.force_b / drive.world.gravity,
             held=held,
-            turns_b=np.where(held[:, None], 0.0, s.turn_b),
+            turns_b=turns_b,
             free=np.where(held | s.gap, 0.0, s.dt),
+            q=frames(turns_b),
             dt=float(np.median(s.dt)),
             quiet=(drive.noise.accel_density / drive.world.gravity) ** 2,
             walk=drive.noise.n_w,
@@ -107,18 +110,20 @@ class Problem:
 
     def carried(self, bias: Array) -> Carried:
         """Return the drive in a level frame, ``bias`` (n, 3) rad/s taken from the gyro."""
-        s = self.samples
-        q = carry(self.turns_b - 0.5 * (bias[1:] + bias[:-1]) * self.free[:, None], self.y, s.gap)
+        s, q = self.samples, self.q
+        if bias.any():
+            q = frames(self.turns_b - 0.5 * (bias[1:] + bias[:-1]) * self.free[:, None])
+        q = levelled(q, self.y, s.gap)
         return Carried(q, rotation.rotate(q, self.y), self.dt, s.still, self.stray, self.gyro, self.quiet, self.causal)
 
 
 def _rests(drive: Drive, s: Samples) -> Rests:
-    """Return what the stops say of the bias that is left, each at its middle sample."""
+    """Return what the stops say of the bias that is left, each at its last sample."""
     found = {}
     for first, last in stop_ranges(drive.log, drive.segmentation):
         if last - first >= LEAST_REST:
             variance = drive.noise.n_r / float(s.t[last - 1] - s.t[first])
-            found[(first + last) // 2] = s.rate_b[first:last].mean(axis=0), variance
+            found[last - 1] = s.rate_b[first:last].mean(axis=0), variance
     return found
 
 
@@ -184,8 +189,7 @@ def _bias(problem: Problem, density: Array) -> Array:
     first = np.arange(0, n, max(1, round(BIAS_CELL_S / problem.dt)))
     if len(first) < 2:
         return np.zeros((n, 3))
-    q = frames(rotation.exp_quaternion(problem.turns_b))
-    information = problem.dt / density
+    q, information = problem.q, problem.dt / density
     held = np.add.reduceat(information, first)
     mean = np.add.reduceat(information[:, None] * rotation.rotate(q, problem.y), first, axis=0) / held[:, None]
     back, turns = rotation.conjugate(q[first]), problem.turns(1.0, across=True)
@@ -223,9 +227,11 @@ def _run(problem: Problem, carried: Carried, choice: Choice, method: Method, set
     sigma = problem.bias_sigma if cfg.gyro_bias else None
     rests = problem.rests if cfg.gyro_bias else NO_RESTS
     factor = choice.gyro * (1.0 if cfg.gyro_bias else _bias_as_noise(problem, choice))
-    first = rotation.rotate(rotation.conjugate(carried.q[0]), vertical(carried, choice)[1][0])
+    up_b = problem.y[0]
+    if not problem.causal:  # near the truth, lest the methods on the sphere begin with a long way
+        up_b = rotation.rotate(rotation.conjugate(carried.q[0]), vertical(carried, choice)[1][0])
     turns = problem.turns(factor, cfg.gain == "matrix")
-    return observe(turns, problem.y, R, *_start(first, sigma), method, weigh, rests)
+    return observe(turns, problem.y, R, *_start(up_b, sigma), method, weigh, rests)
 
 
 def _moving_only(rule: Weigh, still: Bools) -> Weigh:
@@ -265,7 +271,7 @@ def _lag(found: Pass, carried: Carried, choice: Choice) -> float:
 def _slow_innovations(problem: Problem, carried: Carried, found: Pass, span: float) -> Innovations:
     r"""Return level innovations, averaged over smooth windows (Hann, two steps of ``span`` s).
 
-    .. math:: z=\frac{\sum h_k\nu_k}{\sqrt{\sum h_k^2S_k}}
+    .. math:: z=\frac{\sum h_kS_k^{-1}\nu_k}{\sqrt{\sum h_k^2S_k^{-1}}}
 
     A filter whose noise stands for slow accelerations claims nothing of its single samples: only their means over its
     memory can be judged.
@@ -273,14 +279,14 @@ def _slow_innovations(problem: Problem, carried: Carried, found: Pass, span: flo
     t = problem.samples.t
     per = max(1, round(span / problem.dt))
     taper = np.sin(np.pi * (np.arange(2 * per) + 0.5) / (2 * per)) ** 2
-    nu = rotation.rotate(carried.q, found.nu)[:, :2]
-    R = rotation.matrix(carried.q)[:, :2]
-    S = np.einsum("kai,kij,kaj->ka", R, found.S, R)
-    nu[list(problem.rests)] = 0.0  # these measured the bias
+    level = rotation.matrix(carried.q)[:, :2]
+    information = 1.0 / np.einsum("kai,kij,kaj->ka", level, found.S, level)
+    information[list(problem.rests)] = 0.0  # these measured the bias
+    nu = np.einsum("kai,ki->ka", level, found.nu) * information
     rows = np.arange(0, max(len(t) - 2 * per, 0) + 1, 2 * per)
     at = np.minimum(rows[:, None] + np.arange(2 * per), len(t) - 1)
     z = np.full((len(rows), 3), np.nan)
-    z[:, :2] = np.einsum("jka,k->ja", nu[at], taper) / np.sqrt(np.einsum("jka,k->ja", S[at], taper**2))
+    z[:, :2] = np.einsum("jka,k->ja", nu[at], taper) / np.sqrt(np.einsum("jka,k->ja", information[at], taper**2))
     node = np.minimum(rows + per, len(t) - 1)
     nis, used = np.sum(z[:, :2] ** 2, axis=1), np.ones(len(rows), dtype=np.bool_)
     return Innovations(np.full(len(rows), "accelerometer"), t[node], node, np.full(len(rows), 2), nis, used, z)

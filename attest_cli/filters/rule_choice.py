@@ -29,7 +29,7 @@ LEAST_WINDOWS = 12
 ROUGH_S = 1.0  # step of the windows that give a first figure
 GRID = 1.3  # step of densities and gyro factors that are tried
 GYRO_GRID: Array = GRID ** np.arange(20.0)
-GYRO_SPREAD = 0.3  # sigma of the logarithm of the gyro's factor: its noise is known
+GYRO_SPREAD = 0.3  # width of the prior (Cauchy) of that factor's logarithm: the gyro's noise is known, if it is
 CAUTION = 0.84  # quantile of the noise density's posterior: few windows must not look better than they are
 PLAIN = 0.8  # a rule that varies must leave less than this share of the constant one's sigma
 EQUAL = 1.02  # sigmas this close are equal: then the rule that leaves out most, for what is left out cannot mislead
@@ -96,23 +96,20 @@ class Cells:
         return cls(first, walk, np.add.reduceat(np.where(c.still, c.dt / c.quiet, 0.0), first), per * c.dt)
 
 
-def carry(turn_b: Array, y: Array, gap: Bools) -> Array:
-    """Return attitudes (n, 4) carried by the gyro's steps ``turn_b`` (n - 1, 3), in which the mean of ``y`` (n, 3),
-    body axes, is upright; a frame of its own after each ``gap`` (n - 1,).
+def frames(turn_b: Array) -> Array:
+    """Return the attitudes (n, 4) after the gyro's steps ``turn_b`` (n - 1, 3), no rotation first."""
+    return np.concatenate([[[1.0, 0.0, 0.0, 0.0]], rotation.chain(rotation.exp_quaternion(turn_b))])
+
+
+def levelled(q: Array, y: Array, gap: Bools) -> Array:
+    """Return the attitudes ``q`` (n, 4) turned so that the mean of ``y`` (n, 3), body axes, is upright in them; after
+    each ``gap`` (n - 1,), anew.
     """
-    turns = rotation.exp_quaternion(turn_b)
-    edges = [0, *(np.flatnonzero(gap) + 1).tolist(), len(y)]
     parts = []
-    for first, last in pairwise(edges):
-        q = frames(turns[first : last - 1])
-        mean = rotation.rotate(q, y[first:last]).mean(axis=0)
-        parts.append(rotation.multiply(upright((mean / np.linalg.norm(mean))[None]), q))
+    for first, last in pairwise([0, *(np.flatnonzero(gap) + 1).tolist(), len(y)]):
+        mean = rotation.rotate(q[first:last], y[first:last]).mean(axis=0)
+        parts.append(rotation.multiply(upright((mean / np.linalg.norm(mean))[None]), q[first:last]))
     return np.concatenate(parts)
-
-
-def frames(turns: Array) -> Array:
-    """Return the attitudes (n, 4) after the turns (n - 1, 4), no rotation first."""
-    return np.concatenate([[[1.0, 0.0, 0.0, 0.0]], rotation.chain(turns)])
 
 
 def rules_to_try(c: Carried) -> list[Rule]:
@@ -238,7 +235,7 @@ def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array) 
     squares, logs = local_level.misfit(z[:, :, None], R[:, :, None] * noise, walk[:, None, None])
     at = np.arange(len(densities)) + (len(gyro) - 1 - np.arange(len(gyro)))[:, None]
     fit = squares[:, at] / gyro[:, None] + 2.0 * (logs[:, at] + (len(z) - 1) * np.log(gyro)[:, None])
-    return np.asarray(-0.5 * (fit + (np.log(gyro)[:, None] / GYRO_SPREAD) ** 2))
+    return np.asarray(-0.5 * fit - np.log1p((np.log(gyro)[:, None] / GYRO_SPREAD) ** 2))
 
 
 def _grid(least: float, most: float) -> Array:

@@ -161,6 +161,7 @@ def fuse(model: Model, x0: Array, P0: Array) -> Pass:
     gyro, n, whole = model.gyro, len(model.clock), len(x0) == STATES
     Phi, eye = np.tile(np.eye(len(x0)), (n - 1, 1, 1)), np.eye(4)
     starts, clock, z = set(gyro.starts.tolist()), model.clock.tolist(), model.gravity_xy.tolist()
+    used, R = model.used.tolist(), model.R[:, :, None] * eye
 
     def predict(k: int, x: Array) -> tuple[Array, Array, Array]:
         if k == 0 or k not in starts:
@@ -176,11 +177,11 @@ def fuse(model: Model, x0: Array, P0: Array) -> Pass:
         h, H = observation(x, clock[k], model.gravity)
         roll, pitch, _ = gyro.angles[k].tolist()
         nu = np.array([*z[k], pitch, roll]) - h
-        nu[2:] = (nu[2:] + np.pi) % (2.0 * np.pi) - np.pi
-        if model.used[k]:
+        nu[2], nu[3] = math.remainder(nu[2], math.tau), math.remainder(nu[3], math.tau)
+        if used[k]:
             return nu, H, model.row_variances(k, nu, H, P) * eye
         nu[:2], H[:2] = 0.0, 0.0
-        return nu, H, model.R[k] * eye
+        return nu, H, R[k]
 
     if 0 in starts:
         model.begin(0, x0, Phi)

@@ -95,7 +95,7 @@ def observe(
 def _predict(turns: Turns) -> sequential.Predict:
     """Turn the vertical with the gyro; noise across the vertical half-way."""
     Phi = rotation.matrix(rotation.exp_quaternion(-turns.turn_b))
-    floor = FLOOR * np.eye(3)
+    floor = FLOOR * EYE
 
     def predict(k: int, x: Array) -> tuple[Array, Array, Array]:
         new = Phi[k] @ x
@@ -109,10 +109,10 @@ def _predict(turns: Turns) -> sequential.Predict:
 
 def _predict_biased(turns: Turns) -> sequential.Predict:
     r"""Turn the vertical with the gyro less its bias: :math:`\partial x/\partial b=-[\bar x]_\times T`, x half-way."""
-    eye, floor = np.eye(6), FLOOR * np.eye(3)
+    eye, floor, lower = np.eye(6), FLOOR * EYE, np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
 
     def predict(k: int, x: Array) -> tuple[Array, Array, Array]:
-        F, Q = eye.copy(), np.zeros((6, 6))
+        F, Q = eye.copy(), turns.walk[k] * lower
         F[:3, :3] = rotation.turned_matrix(ONE, turns.dt[k] * x[3:] - turns.turn_b[k])
         new = x.copy()
         new[3:] += turns.drift[k]
@@ -120,7 +120,6 @@ def _predict_biased(turns: Turns) -> sequential.Predict:
         A = _skew(0.5 * (new[:3] + x[:3]))
         F[:3, 3:] = -turns.dt[k] * A
         Q[:3, :3] = A @ turns.Q[k] @ A.T + floor if turns.across else turns.Q[k]
-        Q[[3, 4, 5], [3, 4, 5]] = turns.walk[k]
         return new, F, Q
 
     return predict

@@ -182,13 +182,22 @@ def information(chain: Chain) -> tuple[Array, Array]:
     J, _ = chain.reset_jacobians()
     ends = np.unique(np.concatenate([[0], np.flatnonzero(np.any(chain.info != 0.0, axis=(1, 2)))]))
     all_Phi, all_Q = _composed(chain, ends)
+    eye, one = np.eye(s), np.empty((s, s + 1))
     for first, last in zip(ends[-2::-1].tolist(), ends[:0:-1].tolist(), strict=True):
-        y_last = J[last].T @ (y[last] + chain.vec[last])
-        Y_last = symmetric(J[last].T @ (Y[last] + chain.info[last]) @ J[last])
+        Y_last, y_last = Y[last] + chain.info[last], y[last] + chain.vec[last]
+        if chain.rotations:
+            Y_last, y_last = J[last].T @ Y_last @ J[last], J[last].T @ y_last
+            Y_last = 0.5 * (Y_last + Y_last.T)
         y_last = y_last + Y_last @ chain.dx[last]
+        if last - first == 1:  # a filter that measures at every sample: no batch, fewer calls
+            Phi, Q = all_Phi[first], all_Q[first]
+            one[:, :s], one[:, s] = Y_last @ Phi, y_last
+            back = Phi.T @ np.linalg.solve(eye + Y_last @ Q, one)
+            Y[first], y[first] = 0.5 * (back[:, :s] + back[:, :s].T), back[:, s]
+            continue
         Phi, Q = all_Phi[first:last], all_Q[first:last]
         right = np.concatenate([Y_last @ Phi, np.tile(y_last[:, None], (last - first, 1, 1))], axis=2)
-        back = Phi.swapaxes(1, 2) @ np.linalg.solve(np.eye(s) + Y_last @ Q, right)
+        back = Phi.swapaxes(1, 2) @ np.linalg.solve(eye + Y_last @ Q, right)
         Y[first:last], y[first:last] = symmetric(back[:, :, :s]), back[:, :, s]
     return Y, y
 

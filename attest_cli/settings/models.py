@@ -389,6 +389,12 @@ class Vertical(Section):
     )
     gain_rad_s: Rate | None = Field(None, description="gain l in full trust; none: from gyro and acceleration noise")
 
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if self.gain_rad_s is not None and self.acceleration_density is not None:
+            raise ValueError("gain_rad_s and acceleration_density say the same thing: give one")
+        return self
+
 
 class Body(Section):
     """Axes of the track."""

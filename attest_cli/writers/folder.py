@@ -13,18 +13,23 @@ from pathlib import Path
 from ..errors import AttestError
 from .files import check_output
 
-LAST = "report.json"
+LAST, CALIBRATION = "report.json", "calibration.toml"
 OURS = re.compile(r"(track\.(parquet|csv|tum|mcap)|passes\.parquet|innovations\.parquet|segments\.csv|report\.json"
-                  r"|report/(\d\d-[a-z0-9-]+\.png|report\.html))")  # fmt: skip
+                  r"|report/(\d\d-[a-z0-9-]+\.png|report\.html)"
+                  r"|calibration\.toml|imu\.yaml|08-calibrate-bias\.png"
+                  r"|evaluation\.json|09-evaluate\.png)")  # fmt: skip
+MARK = b"attest_version"  # within the first bytes of the last file
 
 
 @contextmanager
-def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Path] = ()) -> Iterator[Path]:
+def result_folder(
+    output: Path, *, overwrite: bool = False, inputs: Sequence[Path] = (), last: str = LAST
+) -> Iterator[Path]:
     """Give a temporary folder beside ``output``; it takes the place of ``output`` when all went well.
 
     Messages from within name the wanted path, not the temporary one. With ``overwrite`` the files of an older result
-    are replaced one by one, ``report.json`` last, those of a result that the new one does not have are removed, and
-    files that are not ours stay.
+    are replaced one by one, ``last`` last, those of a result that the new one does not have are removed, and files that
+    are not ours stay.
 
     Raises
     ------
@@ -34,15 +39,15 @@ def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Pat
     check_output(output, overwrite=overwrite, inputs=inputs)
     if output.exists() and not output.is_dir():
         raise AttestError(f"{output}: is a file, a result is a folder", "choose another name with -o")
-    if not _replaceable(output):
-        message = f"{output}: holds files, but no {LAST} of attest: not a result folder"
+    if not _replaceable(output, last):
+        message = f"{output}: holds files, but no {last} of attest: not a result folder"
         raise AttestError(message, "choose another name with -o, or empty it")
     temporary = output.parent / f".{output.name[:100]}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
     try:
         temporary.mkdir(parents=True)
         yield temporary
         if output.exists():
-            _replace(temporary, output)
+            _replace(temporary, output, last)
         else:
             temporary.rename(output)
     except AttestError as fault:
@@ -55,17 +60,17 @@ def result_folder(output: Path, *, overwrite: bool = False, inputs: Sequence[Pat
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _replaceable(folder: Path) -> bool:
+def _replaceable(folder: Path, last: str) -> bool:
     """Tell whether nothing of anybody else stands there: an empty folder, or a result."""
     if not folder.exists() or not any(folder.iterdir()):
         return True
-    report = folder / LAST
-    return report.is_file() and b'"attest_version"' in report.read_bytes()[:200]
+    report = folder / last
+    return report.is_file() and MARK in report.read_bytes()[:400]
 
 
-def _replace(new: Path, old: Path) -> None:
+def _replace(new: Path, old: Path, last: str) -> None:
     """Move the files of ``new`` over those of ``old``."""
-    names = sorted((p.relative_to(new).as_posix() for p in new.rglob("*") if p.is_file()), key=lambda n: (n == LAST, n))
+    names = sorted((p.relative_to(new).as_posix() for p in new.rglob("*") if p.is_file()), key=lambda n: (n == last, n))
     for name in names:
         (old / name).parent.mkdir(exist_ok=True)
         (new / name).replace(old / name)

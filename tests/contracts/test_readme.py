@@ -51,7 +51,7 @@ def test_every_option_of_the_readme_exists(readme: str) -> None:
             check=True,
             cwd=Path(__file__).parents[2],
         ).stdout
-        for command in ("smooth", "report", "info", "segment", "simulate")
+        for command in ("smooth", "calibrate-bias", "evaluate", "report", "info", "segment", "simulate")
     )
     named = set(re.findall(r"`(--[a-z-]+)", readme)) - {"--version"}
     assert named

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,8 +23,10 @@ from attest_cli.smoothers import SMOOTHERS
 from attest_cli.world import find_world
 
 Array = NDArray[np.float64]
+Spans = Sequence[tuple[float, float]]
 PAPER_MODEL = {"c1_deg_s": 0.153, "c2_deg_s": -0.264, "time_constant_s": 338.4}
-CYCLE_S, STOP_S = 60.0, 10.0
+START: Spans = ((0.0, 10.0),)
+EACH_MINUTE: Spans = tuple((60.0 * k, 60.0 * k + 10.0) for k in range(10))
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,11 @@ class Course:
 
 
 def course(
-    seed: int, kind: str = "truck", change: Callable[[Log], Log] = lambda log: log, by_minute: bool = False,
+    seed: int, kind: str = "truck", change: Callable[[Log], Log] = lambda log: log, told: Spans = (),
     heading_settings: dict[str, Any] | None = None, walk: float | None = None, **options: Any,
 ) -> Course:  # fmt: skip
-    """A simulated course; ``by_minute``: the stops are told, ten seconds of each minute and no others; ``walk``: of the
-    bias, stated otherwise, rad/s^2/sqrt(Hz).
+    """A simulated course; ``told``: its stops, where the detector's shall not be used; ``walk``: of the bias, stated
+    otherwise, rad/s^2/sqrt(Hz).
     """
     simulation = simulate_gyrostar(GyrostarOptions(seed=seed, course=kind, **options))  # type: ignore[arg-type]
     tables: dict[str, Any] = {name: dict(table) for name, table in simulation.settings.items()}
@@ -73,8 +75,8 @@ def course(
     settings = Settings.model_validate({**tables, "heading": heading_settings or {}})
     log = change(prepare([simulation.log], settings))
     segmentation = find_segments(log, settings)
-    if by_minute:
-        still = np.mod(log.imu.t, CYCLE_S) < STOP_S
+    if told:
+        still = np.any([(log.imu.t >= a) & (log.imu.t < b) for a, b in told], axis=0)
         segments = as_segments(still, log.imu.t, gap_edges(log.imu.t, log.gaps), 0.5)
         segmentation = replace(segmentation, segments=segments)
     noise = find_noise(log, segmentation, settings)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from support.barshan import PAPER_MODEL, Course, course, largest_deg, passes, turned
+from support.barshan import EACH_MINUTE, PAPER_MODEL, Course, course, largest_deg, passes, turned
 
 from attest_cli.filters import heading
 from attest_cli.filters.heading import BiasModel, bias_steps, motion_steps, six_state_steps
@@ -245,7 +245,7 @@ def test_a_vehicle_that_leans_is_told() -> None:
         accel[:, 0] += 9.8 * 0.2 * np.sign(np.sin(log.imu.t / 7.0))
         return replace(log, imu=replace(log.imu, accel_b=accel))
 
-    drive = short(stops=True, by_minute=True, change=leaning).drive
+    drive = short(stops=True, told=EACH_MINUTE, change=leaning).drive
     found = heading.forward(drive)
     assert "not-level" in [w.code for w in found.warnings]
     tilt = np.degrees(np.sqrt(SMOOTHERS["none"](found.run).P[-1, 0, 0]))
