@@ -215,13 +215,14 @@ def forward(drive: Drive) -> Forward:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """The vertical in body axes ``up_b`` (3,), how far the vehicle leans from it (``tilt``, rad), and the ``density``
-    (n - 1,) of the heading rate's noise, (rad/s)^2/Hz.
+    """The vertical in body axes ``up_b`` (3,), how far the vehicle leans from it (``tilt``, rad), the ``density``
+    (n - 1,) of the heading rate's noise, (rad/s)^2/Hz, and the ``spread`` of one sample at rest, (rad/s)^2.
     """
 
     up_b: Array
     tilt: float
     density: Array
+    spread: float
     warnings: tuple[Warn, ...]
 
 
@@ -244,7 +245,10 @@ def _axis(drive: Drive, s: Samples) -> Axis:
     if tilt > STEEP_RAD:
         message = f"the heading filter takes the vehicle as level, but it leans by {np.degrees(tilt):.0f} deg rms"
         told = (Warn("not-level", message, "use --filter indirect"),)
-    return Axis(up_b, tilt, density, told)
+    change = np.diff(drive.log.imu.gyro_b @ up_b)[s.still[1:] & s.still[:-1]]
+    shaking = 0.5 * float(np.mean(change**2)) if change.size else 0.0  # an engine that runs at the stops
+    spread = max(shaking, drive.noise.n_r / float(np.median(s.dt)))
+    return Axis(up_b, tilt, density, spread, told)
 
 
 def _bias_model(drive: Drive, s: Samples, rate: Array) -> tuple[BiasModel, list[Warn]]:
@@ -338,7 +342,7 @@ def _six_state(
     F, Q, known = system.F.copy(), system.Q.copy(), np.array([DATUM, RATE_RAD_S, TURN_RAD_S2, JERK_RAD_S3])
     F[:, :4, :4], Q[:, :4, :4] = still.F[:, :4, :4], still.Q[:, :4, :4]
     Q[s.gap, :4, :4] += np.diag([np.pi**2 / 3, *known[1:] ** 2])  # after a hole nothing of the motion is known
-    R = (density / np.append(s.dt, step))[:, None, None]
+    R = np.maximum(density / np.append(s.dt, step), axis.spread)[:, None, None]
     P0 = np.diag([*known**2, DATUM**2, start[1] ** 2])
     x0 = np.array([0.0, 0.0, 0.0, 0.0, 0.0, start[0]])
     found = run(replace(system, F=F, Q=Q), rate[:, None], np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]]), R, x0, P0)
@@ -359,7 +363,7 @@ def _indirect(
     system.Q[frozen, 0, :] = system.Q[frozen, :, 0] = 0.0
     system.Q[s.gap, 0, 0] = np.pi**2 / 3
     z = np.where(s.still, rate, np.nan)[:, None]
-    R = np.full((len(s.t), 1, 1), drive.noise.n_r / float(np.median(s.dt)))
+    R = np.full((len(s.t), 1, 1), axis.spread)
     prior = math.hypot(drive.settings.imu.gyro_bias_sigma, drive.settings.heading.parameter_sigma * model.c2)
     P0 = np.diag([DATUM**2, (prior if len(drive.segmentation.stops) else start[1]) ** 2])
     found = run(system, z, np.array([[0.0, 1.0]]), R, np.array([0.0, model.c2]), P0)

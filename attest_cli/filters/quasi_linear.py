@@ -6,6 +6,7 @@ a rule (``acceleration``) that the drive itself shows (``rule_choice``). Heading
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..settings import Settings
 from . import Drive, Forward
 from .acceleration import Rule
 from .level import Level, run_of
-from .rule_choice import GYRO_GRID, Carried, Choice, choose, constant, frames, levelled, rough, rules_to_try, vertical
+from .rule_choice import GYRO_GRID, Carried, Choice, choose, constant, frames, known_gyro, levelled, rough, rules_to_try, vertical
 from .samples import Samples, samples
 from .vertical import NO_RESTS, Method, Rests, Turns, Weigh, observe, up
 
@@ -53,7 +54,7 @@ class Problem:
     gyro's turns, none while held, ``free`` (n - 1,) s in which it is integrated, ``q`` (n, 4) where it leads; ``dt`` s
     usual step; ``quiet`` density of the accelerometer at rest, 1/Hz; ``walk`` density of the gyro's bias,
     (rad/s^2)^2/Hz, known to ``bias_sigma`` before the log; ``rests`` what the stops say of the bias that is left;
-    ``causal``: no smoother follows, and accelerations are seen from the past alone.
+    ``stops`` their samples ``[first, last)``; ``causal``: no smoother follows, accelerations are seen from the past alone.
     """
 
     samples: Samples
@@ -67,6 +68,7 @@ class Problem:
     walk: float
     bias_sigma: float
     rests: Rests
+    stops: Sequence[tuple[int, int]]
     causal: bool
 
     @classmethod
@@ -87,6 +89,7 @@ class Problem:
             walk=drive.noise.n_w,
             bias_sigma=drive.settings.imu.gyro_bias_sigma,
             rests=_rests(drive, s) if zero_rate else NO_RESTS,
+            stops=_long_stops(drive),
             causal=drive.settings.smoothing.smoother == "none",
         )
 
@@ -119,12 +122,13 @@ class Problem:
 
 def _rests(drive: Drive, s: Samples) -> Rests:
     """Return what the stops say of the bias that is left, each at its last sample."""
-    found = {}
-    for first, last in stop_ranges(drive.log, drive.segmentation):
-        if last - first >= LEAST_REST:
-            variance = drive.noise.n_r / float(s.t[last - 1] - s.t[first])
-            found[last - 1] = s.rate_b[first:last].mean(axis=0), variance
-    return found
+    n_r = drive.noise.n_r
+    return {b - 1: (s.rate_b[a:b].mean(axis=0), n_r / float(s.t[b - 1] - s.t[a])) for a, b in _long_stops(drive)}
+
+
+def _long_stops(drive: Drive) -> list[tuple[int, int]]:
+    """Return the samples ``[first, last)`` of the stops that can be averaged."""
+    return [(a, b) for a, b in stop_ranges(drive.log, drive.segmentation) if b - a >= LEAST_REST]
 
 
 def _forward(drive: Drive, method: Method) -> Forward:
@@ -163,11 +167,31 @@ def _chosen(problem: Problem, settings: Settings, gravity: float) -> tuple[Carri
         density = problem.gyro / cfg.gain_rad_s**2
     gyro = GYRO_GRID[:1] if np.isfinite(density) else GYRO_GRID  # noise that is stated is stated for the gyro's own
     carried = problem.carried(np.zeros_like(problem.y))
-    choice = constant(carried, rough(carried))
+    choice, seen = constant(carried, rough(carried)), _seen_at_stops(problem, carried, gyro)
     for _ in range(ROUNDS):
         carried = problem.carried(_bias(problem, choice.density))
-        choice = choose(carried, _rules(carried, settings, gravity, density), choice, gyro)
+        choice = choose(carried, _rules(carried, settings, gravity, density), choice, gyro, seen)
     return carried, choice
+
+
+def _seen_at_stops(problem: Problem, carried: Carried, gyro: Array) -> Array:
+    r"""Return the log-likelihood of factors m on the gyro's variance from what it strays from stop to stop.
+
+    .. math:: \sigma^2=m\Big(N_rt+\frac{N_rt^2}{2T}\Big)+N_w\frac{t^3}{12}+\sigma^2_{rest}
+
+    Two stops T long, t apart, whose gyro means were its bias.
+    """
+    s, edges = problem.samples, np.array(problem.stops).reshape(-1, 2)
+    if len(edges) < 2:
+        return known_gyro(gyro)
+    mean = np.array([carried.force_n[first:last, :2].mean(axis=0) for first, last in edges])
+    length, middle = s.t[edges[:, 1] - 1] - s.t[edges[:, 0]], edges.sum(axis=1) // 2
+    walked, free = (np.diff(np.concatenate([[0.0], np.cumsum(v)])[middle]) for v in (problem.stray, problem.free))
+    drift = walked * (1.0 + 0.25 * free * (1.0 / length[1:] + 1.0 / length[:-1]))
+    rest = problem.quiet * (1.0 / length[1:] + 1.0 / length[:-1]) + problem.walk * free**3 / 12.0
+    variance = gyro[:, None] * drift + rest
+    square = np.sum(np.diff(mean, axis=0) ** 2, axis=1)
+    return known_gyro(gyro) - np.sum(0.5 * square / variance + np.log(variance), axis=1)
 
 
 def _rules(carried: Carried, settings: Settings, gravity: float, density: float) -> list[Rule]:

@@ -30,6 +30,7 @@ ROUGH_S = 1.0  # step of the windows that give a first figure
 GRID = 1.3  # step of densities and gyro factors that are tried
 GYRO_GRID: Array = GRID ** np.arange(20.0)
 GYRO_SPREAD = 0.3  # width of the prior (Cauchy) of that factor's logarithm: the gyro's noise is known, if it is
+REFUTED, LIKELIEST = 3.0, 0.5  # log-likelihood by which a factor on the gyro's noise falls short of the best
 CAUTION = 0.84  # quantile of the noise density's posterior: few windows must not look better than they are
 PLAIN = 0.8  # a rule that varies must leave less than this share of the constant one's sigma
 EQUAL = 1.02  # sigmas this close are equal: then the rule that leaves out most, for what is left out cannot mislead
@@ -129,7 +130,9 @@ def constant(c: Carried, density: float) -> Choice:
     return Choice(Rule("constant", density), 1.0, noise, ROUGH_S, np.inf)
 
 
-def choose(c: Carried, rules: Sequence[Rule], before: Choice, gyro: Array = GYRO_GRID) -> Choice:
+def choose(
+    c: Carried, rules: Sequence[Rule], before: Choice, gyro: Array = GYRO_GRID, seen: Array | None = None
+) -> Choice:
     """Return the rule that leaves the least sigma that holds.
 
     Parameters
@@ -138,11 +141,17 @@ def choose(c: Carried, rules: Sequence[Rule], before: Choice, gyro: Array = GYRO
     rules : shapes, all of one ``density``; not finite: to be found
     before : an earlier choice, for the vertical off which accelerations are seen
     gyro : factors on the variance of the gyro's noise that are tried, ascending
+    seen : log-likelihood of these factors from elsewhere; none: :func:`known_gyro`
     """
-    found = _judged(c, rules, _acceleration(c, before), gyro)
+    found = _judged(c, rules, _acceleration(c, before), gyro, known_gyro(gyro) if seen is None else seen)
     score = np.array([f.sigma * (PLAIN if f.rule.kind == "constant" else 1.0) for f in found])
     equal = [f for f, value in zip(found, score, strict=True) if value <= EQUAL * score.min()]
     return max(equal, key=lambda f: float(np.mean(f.density)))
+
+
+def known_gyro(factors: Array) -> Array:
+    """Return the logarithm of the prior of factors on the gyro's noise: it is as stated, or far off."""
+    return np.asarray(-np.log1p((np.log(factors) / GYRO_SPREAD) ** 2))
 
 
 def rough(c: Carried) -> float:
@@ -185,49 +194,57 @@ def _summed(c: Carried, cells: Cells, weight: Array) -> tuple[Array, Array]:
     return held, np.stack(sides, axis=2)
 
 
-def _judged(c: Carried, rules: Sequence[Rule], w: Array, gyro: Array) -> list[Choice]:
+def _judged(c: Carried, rules: Sequence[Rule], w: Array, gyro: Array, seen: Array) -> list[Choice]:
     """Return each rule with the noise that holds, and the sigma it leaves."""
     cells = Cells.of(c)
     factor = np.stack([rule.factor(windowed(w, rule.window, c.dt)) for rule in rules], axis=1)
     held, force = _summed(c, cells, np.where(c.still[:, None], 0.0, 1.0 / factor))
     stated = rules[0].density
     densities = np.array([stated]) if np.isfinite(stated) else _grid(c.quiet, LOUDEST)
-    density, raised, span = _fitted(c, cells, held, force, densities, gyro)
+    density, raised, span = _fitted(c, cells, held, force, densities, gyro, seen)
+    factor_of_gyro = float(raised[np.argmax(held.sum(axis=0) / density)])  # one gyro: whoever sees most knows it best
     out = []
     for i, rule in enumerate(rules):
         information = held[:, i] / density[i] + cells.resting
-        _, P = local_level.smooth(np.zeros((len(information), 1)), information, cells.walk * raised[i])
+        _, P = local_level.smooth(np.zeros((len(information), 1)), information, cells.walk * factor_of_gyro)
         sigma = float(np.sqrt(np.mean(P)))
         noise = np.where(c.still, c.quiet, density[i] * factor[:, i])
-        out.append(Choice(replace(rule, density=float(density[i])), float(raised[i]), noise, float(span[i]), sigma))
+        out.append(Choice(replace(rule, density=float(density[i])), factor_of_gyro, noise, float(span[i]), sigma))
     return out
 
 
 def _fitted(
-    c: Carried, cells: Cells, held: Array, force: Array, densities: Array, gyro: Array
+    c: Carried, cells: Cells, held: Array, force: Array, densities: Array, gyro: Array, seen: Array
 ) -> tuple[Array, Array, Array]:
-    """Return, per rule, noise density, gyro factor and window step, where the step is the filter's own memory."""
+    """Return, per rule, noise density, gyro factor and window step.
+
+    For each factor the step is the one nearest to the filter's own memory, and the likelihood there tells whether the
+    factor holds; the least one is taken, for steady accelerations look like drift where windows are short.
+    """
     count = held.shape[1]
     share = np.maximum(held.sum(axis=0), NOTHING) / max(float(np.sum(~c.still)) * c.dt, c.dt)
-    off, raised, spans = np.full(count, np.inf), np.ones(count), np.full(count, ROUGH_S)
-    density = np.full(count, densities[0] if len(densities) == 1 else rough(c))
-    for span in SPANS_S:
-        per = max(1, round(span / cells.seconds))
-        if len(held) < (LEAST_WINDOWS + 1) * per:
-            break
-        likely = _likelihood(*_windows(held, force, cells.walk, _taper(per, c.causal)), densities, gyro)
-        chance = np.exp(likely - likely.max(axis=(1, 2), keepdims=True))
-        below = np.cumsum(chance.sum(axis=1), axis=1)
-        q2 = densities[np.argmax(below >= CAUTION * below[:, -1:], axis=1)]
-        m = gyro[np.argmax(chance.max(axis=2), axis=1)]
-        apart = np.abs(np.log(span / MEMORY * np.sqrt(c.gyro * m * share / q2)))
-        near = apart < off
-        off, density, raised = np.where(near, apart, off), np.where(near, q2, density), np.where(near, m, raised)
-        spans = np.where(near, span, spans)
-    return density, raised, spans
+    spans = [s for s in SPANS_S if len(held) >= (LEAST_WINDOWS + 1) * max(1, round(s / cells.seconds))]
+    if not spans:
+        return np.full(count, densities[0] if len(densities) == 1 else rough(c)), np.ones(count), np.full(count, ROUGH_S)
+    likely, density = np.empty((2, len(spans), count, len(gyro)))
+    for i, span in enumerate(spans):
+        taper = _taper(max(1, round(span / cells.seconds)), c.causal)
+        here = _likelihood(*_windows(held, force, cells.walk, taper), densities, gyro, seen)
+        likely[i] = here.max(axis=2)
+        below = np.cumsum(np.exp(here - likely[i, :, :, None]), axis=2)
+        density[i] = densities[np.argmax(below >= CAUTION * below[:, :, -1:], axis=2)]
+    memory = np.sqrt(density / (c.gyro * gyro * share[:, None]))
+    own = np.argmin(np.abs(np.log(np.array(spans)[:, None, None] / (MEMORY * memory))), axis=0)
+    at_own = np.take_along_axis(likely, own[None], axis=0)[0]
+    best = likely.max(axis=2)[own, np.arange(count)[:, None]]
+    # the noise as stated, unless it is refuted; then the first factor that is likeliest at its own step
+    least = np.where(at_own[:, 0] >= best[:, 0] - REFUTED, 0, np.argmax(at_own >= best - LIKELIEST, axis=1))
+    rows = np.arange(count)
+    k = own[rows, least]
+    return density[k, rows, least], gyro[least], np.array(spans)[k]
 
 
-def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array) -> Array:
+def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array, seen: Array) -> Array:
     """Return the log-likelihood (rules, gyro factors, densities) of means ``z`` (J, rules, 2); both grids have the same
     step, so that their ratios are few.
     """
@@ -235,7 +252,7 @@ def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array) 
     squares, logs = local_level.misfit(z[:, :, None], R[:, :, None] * noise, walk[:, None, None])
     at = np.arange(len(densities)) + (len(gyro) - 1 - np.arange(len(gyro)))[:, None]
     fit = squares[:, at] / gyro[:, None] + 2.0 * (logs[:, at] + (len(z) - 1) * np.log(gyro)[:, None])
-    return np.asarray(-0.5 * fit - np.log1p((np.log(gyro)[:, None] / GYRO_SPREAD) ** 2))
+    return np.asarray(-0.5 * fit + seen[:, None])
 
 
 def _grid(least: float, most: float) -> Array:

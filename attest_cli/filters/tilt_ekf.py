@@ -280,6 +280,8 @@ def _gravity(drive: Drive, s: Samples, every: int, *, as_mounted: bool) -> tuple
             why = "the odometry would add more noise than it takes out"
         else:
             why, hint = "the IMU's forward axis is not known, so the odometry cannot help", "give [imu] mounting"
+    if not drive.segmentation.motions:
+        return alone, ()
     message = f"{why}: the vehicle's acceleration stays in the tilt, noise {alone.density:.2g} m/s^2/sqrt(Hz)"
     return alone, (Warn("acceleration-not-compensated", message, hint),)
 

@@ -98,6 +98,8 @@ def one_run(table: Table, drifts: dict[str, list[float]], seed: int) -> None:
     drifts["gyro roll before"].append(float(np.degrees(paper.gyro[np.searchsorted(paper.t, 22.0), 1])))
     drifts["after"].append(float(np.degrees(paper.gyro[np.searchsorted(paper.t, 26.0), 1])))
     run = tilt_ekf.forward(drive_of(simulation)).run
+    left = run.read.x[np.searchsorted(paper.t, 20.0), 3]  # type: ignore[union-attr] # the filter's own states
+    drifts["size of attest's own at 20 s"].append(abs(float(left)) / DEG * 60.0)
     with_sigma(table, "attest, forward", simulation, SMOOTHERS["none"](run))
     with_sigma(table, "attest, smoothed", simulation, SMOOTHERS["two-filter"](run))
 

@@ -132,33 +132,39 @@ def test_stops_and_smoothing_reach_three_degrees(stopped: list[Solved]) -> None:
     assert smoothed < forward < alone
 
 
-@pytest.mark.parametrize("minute", [3.5, 6.5, 9.5])
-@pytest.mark.parametrize("name", ["forward", "smoothed"])
-def test_sigma_of_the_heading_holds(stopped: list[Solved], name: str, minute: float) -> None:
+def nees(stopped: list[Solved], name: str, minute: float) -> float:
+    """Mean squared heading error over its variance, at one instant of each run."""
     found = []
     for of, _, forward, smoothed in stopped:
         which = forward if name == "forward" else smoothed
         k = int(np.searchsorted(which.t, 60.0 * minute))
         found.append(float(of.errors(which.q)[k] ** 2 / which.P[k, 2, 2]))
-    low, high = band(len(found))
-    print(f"{name} at {minute:.1f} min: NEES {np.mean(found):.2f}, band {low:.2f} to {high:.2f}")
-    assert low < np.mean(found) < high
+    return float(np.mean(found))
 
 
-def test_the_band_breaks_when_the_noise_is_told_four_times_too_small(
-    stopped: list[Solved], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The test of the test above (the walk as stated, or the stops would raise it)."""
-    monkeypatch.setattr(heading, "walk_of_stops", lambda *given: given[3])
+@pytest.mark.parametrize("minute", [3.5, 6.5, 9.5])
+@pytest.mark.parametrize("name", ["forward", "smoothed"])
+def test_sigma_of_the_heading_holds(stopped: list[Solved], name: str, minute: float) -> None:
+    low, high = band(len(stopped))
+    mean = nees(stopped, name, minute)
+    print(f"{name} at {minute:.1f} min: NEES {mean:.2f}, band {low:.2f} to {high:.2f}")
+    assert low < mean < high
+    assert 16.0 * mean > high  # a sigma four times too small would be seen
+
+
+def test_noise_told_too_small_is_mended_by_the_stops(stopped: list[Solved]) -> None:
+    """A quarter of the true noise, and a walk a quarter of what was stated: the stops show both."""
     found = []
     for of, *_ in stopped[:4]:
-        noise = replace(of.drive.noise, gyro_density=0.25 * of.drive.noise.gyro_density)
-        forward = SMOOTHERS["none"](heading.forward(replace(of.drive, noise=noise)).run)
+        told = replace(
+            of.drive.noise, gyro_density=0.25 * of.drive.noise.gyro_density, gyro_walk=0.25 * of.drive.noise.gyro_walk
+        )
+        forward = SMOOTHERS["none"](heading.forward(replace(of.drive, noise=told)).run)
         k = int(np.searchsorted(forward.t, 60.0 * 6.5))
         found.append(float(of.errors(forward.q)[k] ** 2 / forward.P[k, 2, 2]))
-    _, high = band(len(found))
-    print(f"noise a quarter of the true one: NEES {np.mean(found):.1f}, band up to {high:.2f}")
-    assert np.mean(found) > high
+    low, high = band(len(found))
+    print(f"NEES {np.mean(found):.2f}, band {low:.2f} to {high:.2f}")
+    assert low < np.mean(found) < high
 
 
 def test_a_spread_of_the_parameters_is_in_sigma() -> None:
