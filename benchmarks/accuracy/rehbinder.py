@@ -3,7 +3,7 @@ fixed rules, forward and smoothed, with the share of errors inside the sigma.
 
 Cases: A trot (footfalls given back), B stop and go, C sparse impulses; gyro bias 0.05 and 0.5 deg/s; 120 s at 200 Hz.
 
-Run: PYTHONPATH=. python benchmarks/accuracy/rehbinder.py [--walks 6] [--first-seed 100] [--picture docs/pictures/rehbinder.png]
+Run: PYTHONPATH=. python benchmarks/accuracy/rehbinder.py [--walks 6] [--first-seed 100] [--picture FILE.png]
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from support.walking import passes, rms_deg, tilt, walk  # noqa: E402
 from attest_cli.filters.vertical import law, towards  # noqa: E402
 
 CASES = tuple((case, bias) for case in "ABC" for bias in (0.05, 0.5))
-BEST = {("A", 0.05): 0.066, ("A", 0.5): 0.066, ("B", 0.05): 0.108, ("B", 0.5): 0.205, ("C", 0.05): 0.046, ("C", 0.5): 0.046}
+BEST = dict(zip(CASES, (0.066, 0.066, 0.108, 0.205, 0.046, 0.046), strict=True))
 """Best of every fixed rule, tuned on other walks of the same kind, deg: what attest's own choice has to come near."""
 
 
@@ -60,7 +60,8 @@ def convergence() -> None:
 def picture(path: Path, seed: int) -> None:
     """Tilt error of two walks, forward and smoothed."""
     panels = []
-    for case, title in (("A", "Trot: 0.1 g of bounce, a footfall each step"), ("B", "Stop and go: 0.05-0.08 g for seconds")):
+    titles = {"A": "Trot: 0.1 g of bounce, a footfall each step", "B": "Stop and go: 0.05-0.08 g for seconds"}
+    for case, title in titles.items():
         work = walk(case, 0.5, seed)
         forward, smoothed = passes(work.run(), "two-filter")
         panel = Panel("tilt error, deg", f"{title}; gyro bias 0.5 deg/s", (0.0, 1.5))
@@ -83,10 +84,13 @@ def main() -> None:
         picture(args.picture, args.first_seed)
     convergence()
     print(f"{args.walks} walks each, seeds {seeds.start} to {seeds.stop - 1}; medians of the tilt RMSE, deg")
-    print(f"{'case, bias':<14}{'forward':>9}{'smoothed':>10}{'best fixed':>12}{'fwd n2':>9}{'smo n2':>9}{'us/sample':>11}")
+    print(
+        f"{'case, bias':<14}{'forward':>9}{'smoothed':>10}{'best fixed':>12}{'fwd n2':>9}{'smo n2':>9}{'us/sample':>11}"
+    )
     for case, bias in CASES:
         (f, s, nf, ns), cost = row(case, bias, seeds, "pseudo-linear")
-        print(f"{case} {bias:<12g}{f:>9.3f}{s:>10.3f}{BEST[case, bias]:>12.3f}{nf:>9.2f}{ns:>9.2f}{cost:>11.0f}", flush=True)
+        best = BEST[case, bias]
+        print(f"{case} {bias:<12g}{f:>9.3f}{s:>10.3f}{best:>12.3f}{nf:>9.2f}{ns:>9.2f}{cost:>11.0f}", flush=True)
     for name in ("projected", "geometric"):
         (f, s, *_), cost = row("B", 0.05, seeds, name)
         print(f"B 0.05, {name:<12}{f:>7.3f}{s:>10.3f}{'':>30}{cost:>11.0f}", flush=True)
