@@ -19,7 +19,19 @@ from ..settings import Settings
 from . import Drive, Forward
 from .acceleration import Rule
 from .level import Level, run_of
-from .rule_choice import GYRO_GRID, Carried, Choice, choose, constant, frames, known_gyro, levelled, rough, rules_to_try, vertical
+from .rule_choice import (
+    GYRO_GRID,
+    Carried,
+    Choice,
+    choose,
+    constant,
+    frames,
+    known_gyro,
+    levelled,
+    rough,
+    rules_to_try,
+    vertical,
+)
 from .samples import Samples, samples
 from .vertical import NO_RESTS, Method, Rests, Turns, Weigh, observe, up
 
@@ -54,7 +66,7 @@ class Problem:
     gyro's turns, none while held, ``free`` (n - 1,) s in which it is integrated, ``q`` (n, 4) where it leads; ``dt`` s
     usual step; ``quiet`` density of the accelerometer at rest, 1/Hz; ``walk`` density of the gyro's bias,
     (rad/s^2)^2/Hz, known to ``bias_sigma`` before the log; ``rests`` what the stops say of the bias that is left;
-    ``stops`` their samples ``[first, last)``; ``causal``: no smoother follows, accelerations are seen from the past alone.
+    ``stops`` their samples ``[first, last)``; ``causal``: no smoother follows, only the past is seen.
     """
 
     samples: Samples
@@ -191,7 +203,7 @@ def _seen_at_stops(problem: Problem, carried: Carried, gyro: Array) -> Array:
     rest = problem.quiet * (1.0 / length[1:] + 1.0 / length[:-1]) + problem.walk * free**3 / 12.0
     variance = gyro[:, None] * drift + rest
     square = np.sum(np.diff(mean, axis=0) ** 2, axis=1)
-    return known_gyro(gyro) - np.sum(0.5 * square / variance + np.log(variance), axis=1)
+    return np.asarray(known_gyro(gyro) - np.sum(0.5 * square / variance + np.log(variance), axis=1))
 
 
 def _rules(carried: Carried, settings: Settings, gravity: float, density: float) -> list[Rule]:

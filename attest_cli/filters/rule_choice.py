@@ -225,7 +225,11 @@ def _fitted(
     share = np.maximum(held.sum(axis=0), NOTHING) / max(float(np.sum(~c.still)) * c.dt, c.dt)
     spans = [s for s in SPANS_S if len(held) >= (LEAST_WINDOWS + 1) * max(1, round(s / cells.seconds))]
     if not spans:
-        return np.full(count, densities[0] if len(densities) == 1 else rough(c)), np.ones(count), np.full(count, ROUGH_S)
+        return (
+            np.full(count, densities[0] if len(densities) == 1 else rough(c)),
+            np.ones(count),
+            np.full(count, ROUGH_S),
+        )
     likely, density = np.empty((2, len(spans), count, len(gyro)))
     for i, span in enumerate(spans):
         taper = _taper(max(1, round(span / cells.seconds)), c.causal)
