@@ -21,6 +21,7 @@ from .acceleration import Rule
 from .level import Level, run_of
 from .rule_choice import (
     GYRO_GRID,
+    REFUTED,
     Carried,
     Choice,
     choose,
@@ -40,6 +41,7 @@ GAP_RAD = 1.0  # and after a hole in the log
 RAISED = 2.0  # factor on the variance of the gyro from which the user is told
 ROUNDS = 2  # of bias and choice
 LEAST_REST = 10  # samples of a stop that show a bias
+FEW_STOPS = 2  # fewer do not judge the gyro's noise
 BIAS_CELL_S = 0.25  # samples are summed over this for a first look at the bias
 
 
@@ -66,7 +68,7 @@ class Problem:
     gyro's turns, none while held, ``free`` (n - 1,) s in which it is integrated, ``q`` (n, 4) where it leads; ``dt`` s
     usual step; ``quiet`` density of the accelerometer at rest, 1/Hz; ``walk`` density of the gyro's bias,
     (rad/s^2)^2/Hz, known to ``bias_sigma`` before the log; ``rests`` what the stops say of the bias that is left;
-    ``stops`` their samples ``[first, last)``; ``causal``: no smoother follows, only the past is seen.
+    ``stops`` their samples ``[first, last)``; ``causal``: no smoother follows, accelerations are seen from the past.
     """
 
     samples: Samples
@@ -179,23 +181,24 @@ def _chosen(problem: Problem, settings: Settings, gravity: float) -> tuple[Carri
         density = problem.gyro / cfg.gain_rad_s**2
     gyro = GYRO_GRID[:1] if np.isfinite(density) else GYRO_GRID  # noise that is stated is stated for the gyro's own
     carried = problem.carried(np.zeros_like(problem.y))
-    choice, seen = constant(carried, rough(carried)), _seen_at_stops(problem, carried, gyro)
+    choice, gyro = constant(carried, rough(carried)), _judged_at_stops(problem, carried, gyro)
     for _ in range(ROUNDS):
-        carried = problem.carried(_bias(problem, choice.density))
-        choice = choose(carried, _rules(carried, settings, gravity, density), choice, gyro, seen)
+        carried = problem.carried(_bias(problem, choice))
+        choice = choose(carried, _rules(carried, settings, gravity, density), choice, gyro)
     return carried, choice
 
 
-def _seen_at_stops(problem: Problem, carried: Carried, gyro: Array) -> Array:
-    r"""Return the log-likelihood of factors m on the gyro's variance from what it strays from stop to stop.
+def _judged_at_stops(problem: Problem, carried: Carried, gyro: Array) -> Array:
+    r"""Return the one of the factors m on the gyro's variance that fits what it strays from stop to stop; all of them
+    where the stops are few.
 
     .. math:: \sigma^2=m\Big(N_rt+\frac{N_rt^2}{2T}\Big)+N_w\frac{t^3}{12}+\sigma^2_{rest}
 
-    Two stops T long, t apart, whose gyro means were its bias.
+    Two stops T long, t apart, whose gyro means were its bias. The noise counts as stated unless this refutes it.
     """
     s, edges = problem.samples, np.array(problem.stops).reshape(-1, 2)
-    if len(edges) < 2:
-        return known_gyro(gyro)
+    if len(edges) < FEW_STOPS:
+        return gyro
     mean = np.array([carried.force_n[first:last, :2].mean(axis=0) for first, last in edges])
     length, middle = s.t[edges[:, 1] - 1] - s.t[edges[:, 0]], edges.sum(axis=1) // 2
     walked, free = (np.diff(np.concatenate([[0.0], np.cumsum(v)])[middle]) for v in (problem.stray, problem.free))
@@ -203,7 +206,9 @@ def _seen_at_stops(problem: Problem, carried: Carried, gyro: Array) -> Array:
     rest = problem.quiet * (1.0 / length[1:] + 1.0 / length[:-1]) + problem.walk * free**3 / 12.0
     variance = gyro[:, None] * drift + rest
     square = np.sum(np.diff(mean, axis=0) ** 2, axis=1)
-    return np.asarray(known_gyro(gyro) - np.sum(0.5 * square / variance + np.log(variance), axis=1))
+    likely = known_gyro(gyro) - np.sum(0.5 * square / variance + np.log(variance), axis=1)
+    best = int(np.argmax(likely)) if likely[0] < likely.max() - REFUTED else 0
+    return gyro[best : best + 1]
 
 
 def _rules(carried: Carried, settings: Settings, gravity: float, density: float) -> list[Rule]:
@@ -217,18 +222,16 @@ def _rules(carried: Carried, settings: Settings, gravity: float, density: float)
     return [rule for rule in dict.fromkeys(rules) if cfg.acceleration in {"auto", rule.kind}]
 
 
-def _bias(problem: Problem, density: Array) -> Array:
-    """Return the gyro bias (n, 3) that the stops left, rad/s, smoothed over short cells; ``density`` (n,) of the
-    accelerometer's noise, 1/Hz.
-    """
+def _bias(problem: Problem, choice: Choice) -> Array:
+    """Return the gyro bias (n, 3) that the stops left, rad/s, smoothed over short cells with the noise of a choice."""
     s, n = problem.samples, len(problem.y)
     first = np.arange(0, n, max(1, round(BIAS_CELL_S / problem.dt)))
     if len(first) < 2:
         return np.zeros((n, 3))
-    q, information = problem.q, problem.dt / density
+    q, information = problem.q, problem.dt / choice.density
     held = np.add.reduceat(information, first)
     mean = np.add.reduceat(information[:, None] * rotation.rotate(q, problem.y), first, axis=0) / held[:, None]
-    back, turns = rotation.conjugate(q[first]), problem.turns(1.0, across=True)
+    back, turns = rotation.conjugate(q[first]), problem.turns(choice.gyro, across=True)
 
     def over(values: Array) -> Array:
         return np.asarray(np.add.reduceat(values[: first[-1]], first[:-1], axis=0))

@@ -30,7 +30,9 @@ ROUGH_S = 1.0  # step of the windows that give a first figure
 GRID = 1.3  # step of densities and gyro factors that are tried
 GYRO_GRID: Array = GRID ** np.arange(20.0)
 GYRO_SPREAD = 0.3  # width of the prior (Cauchy) of that factor's logarithm: the gyro's noise is known, if it is
-REFUTED, LIKELIEST = 3.0, 0.5  # log-likelihood by which a factor on the gyro's noise falls short of the best
+LASTING_S = 4.0  # accelerations may last: windows with a step below this refute no gyro
+REFUTED = 3.0  # log-likelihood by which the gyro's noise as stated falls short of the best
+SEEING = 1 / 3  # share of the largest information from which a rule has a say on the gyro
 CAUTION = 0.84  # quantile of the noise density's posterior: few windows must not look better than they are
 PLAIN = 0.8  # a rule that varies must leave less than this share of the constant one's sigma
 EQUAL = 1.02  # sigmas this close are equal: then the rule that leaves out most, for what is left out cannot mislead
@@ -130,9 +132,7 @@ def constant(c: Carried, density: float) -> Choice:
     return Choice(Rule("constant", density), 1.0, noise, ROUGH_S, np.inf)
 
 
-def choose(
-    c: Carried, rules: Sequence[Rule], before: Choice, gyro: Array = GYRO_GRID, seen: Array | None = None
-) -> Choice:
+def choose(c: Carried, rules: Sequence[Rule], before: Choice, gyro: Array = GYRO_GRID) -> Choice:
     """Return the rule that leaves the least sigma that holds.
 
     Parameters
@@ -141,9 +141,8 @@ def choose(
     rules : shapes, all of one ``density``; not finite: to be found
     before : an earlier choice, for the vertical off which accelerations are seen
     gyro : factors on the variance of the gyro's noise that are tried, ascending
-    seen : log-likelihood of these factors from elsewhere; none: :func:`known_gyro`
     """
-    found = _judged(c, rules, _acceleration(c, before), gyro, known_gyro(gyro) if seen is None else seen)
+    found = _judged(c, rules, _acceleration(c, before), gyro)
     score = np.array([f.sigma * (PLAIN if f.rule.kind == "constant" else 1.0) for f in found])
     equal = [f for f, value in zip(found, score, strict=True) if value <= EQUAL * score.min()]
     return max(equal, key=lambda f: float(np.mean(f.density)))
@@ -194,15 +193,17 @@ def _summed(c: Carried, cells: Cells, weight: Array) -> tuple[Array, Array]:
     return held, np.stack(sides, axis=2)
 
 
-def _judged(c: Carried, rules: Sequence[Rule], w: Array, gyro: Array, seen: Array) -> list[Choice]:
+def _judged(c: Carried, rules: Sequence[Rule], w: Array, gyro: Array) -> list[Choice]:
     """Return each rule with the noise that holds, and the sigma it leaves."""
     cells = Cells.of(c)
     factor = np.stack([rule.factor(windowed(w, rule.window, c.dt)) for rule in rules], axis=1)
     held, force = _summed(c, cells, np.where(c.still[:, None], 0.0, 1.0 / factor))
     stated = rules[0].density
     densities = np.array([stated]) if np.isfinite(stated) else _grid(c.quiet, LOUDEST)
-    density, raised, span = _fitted(c, cells, held, force, densities, gyro, seen)
-    factor_of_gyro = float(raised[np.argmax(held.sum(axis=0) / density)])  # one gyro: whoever sees most knows it best
+    density, raised, span = _fitted(c, cells, held, force, densities, gyro)
+    information = held.sum(axis=0) / density
+    seeing = information >= SEEING * information.max()  # rules that see too little refute nothing
+    factor_of_gyro = float(raised[seeing].min())
     out = []
     for i, rule in enumerate(rules):
         information = held[:, i] / density[i] + cells.resting
@@ -214,41 +215,38 @@ def _judged(c: Carried, rules: Sequence[Rule], w: Array, gyro: Array, seen: Arra
 
 
 def _fitted(
-    c: Carried, cells: Cells, held: Array, force: Array, densities: Array, gyro: Array, seen: Array
+    c: Carried, cells: Cells, held: Array, force: Array, densities: Array, gyro: Array
 ) -> tuple[Array, Array, Array]:
-    """Return, per rule, noise density, gyro factor and window step.
+    """Return, per rule, noise density, gyro factor and window step: that nearest to the filter's own memory.
 
-    For each factor the step is the one nearest to the filter's own memory, and the likelihood there tells whether the
-    factor holds; the least one is taken, for steady accelerations look like drift where windows are short.
+    The gyro's noise counts as stated unless a step half-way to that of its likeliest factor refutes it: accelerations
+    that last look like drift where windows are short, and drift like accelerations where they are long.
     """
     count = held.shape[1]
     share = np.maximum(held.sum(axis=0), NOTHING) / max(float(np.sum(~c.still)) * c.dt, c.dt)
-    spans = [s for s in SPANS_S if len(held) >= (LEAST_WINDOWS + 1) * max(1, round(s / cells.seconds))]
-    if not spans:
-        return (
-            np.full(count, densities[0] if len(densities) == 1 else rough(c)),
-            np.ones(count),
-            np.full(count, ROUGH_S),
-        )
+    spans = np.array([s for s in SPANS_S if len(held) >= (LEAST_WINDOWS + 1) * max(1, round(s / cells.seconds))])
+    if not len(spans):
+        density = densities[0] if len(densities) == 1 else rough(c)
+        return np.full(count, density), np.ones(count), np.full(count, ROUGH_S)
     likely, density = np.empty((2, len(spans), count, len(gyro)))
     for i, span in enumerate(spans):
         taper = _taper(max(1, round(span / cells.seconds)), c.causal)
-        here = _likelihood(*_windows(held, force, cells.walk, taper), densities, gyro, seen)
+        here = _likelihood(*_windows(held, force, cells.walk, taper), densities, gyro)
         likely[i] = here.max(axis=2)
         below = np.cumsum(np.exp(here - likely[i, :, :, None]), axis=2)
         density[i] = densities[np.argmax(below >= CAUTION * below[:, :, -1:], axis=2)]
-    memory = np.sqrt(density / (c.gyro * gyro * share[:, None]))
-    own = np.argmin(np.abs(np.log(np.array(spans)[:, None, None] / (MEMORY * memory))), axis=0)
-    at_own = np.take_along_axis(likely, own[None], axis=0)[0]
-    best = likely.max(axis=2)[own, np.arange(count)[:, None]]
-    # the noise as stated, unless it is refuted; then the first factor that is likeliest at its own step
-    least = np.where(at_own[:, 0] >= best[:, 0] - REFUTED, 0, np.argmax(at_own >= best - LIKELIEST, axis=1))
-    rows = np.arange(count)
-    k = own[rows, least]
-    return density[k, rows, least], gyro[least], np.array(spans)[k]
+    off = np.abs(np.log(spans[:, None, None] / MEMORY * np.sqrt(c.gyro * gyro * share[:, None] / density)))
+    rows, likeliest = np.arange(count), np.argmax(likely, axis=2)
+    k_stated = np.argmin(off[:, :, 0], axis=0)
+    k_free = np.argmin(np.take_along_axis(off, likeliest[:, :, None], axis=2)[:, :, 0], axis=0)
+    test = np.maximum((k_stated + k_free) // 2, np.searchsorted(spans, LASTING_S))
+    heard = np.minimum(test, len(spans) - 1)
+    refuted = (likely[heard, rows, 0] < likely[heard, rows].max(axis=1) - REFUTED) & (test < len(spans))
+    k, m = np.where(refuted, k_free, k_stated), np.where(refuted, likeliest[k_free, rows], 0)
+    return density[k, rows, m], gyro[m], spans[k]
 
 
-def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array, seen: Array) -> Array:
+def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array) -> Array:
     """Return the log-likelihood (rules, gyro factors, densities) of means ``z`` (J, rules, 2); both grids have the same
     step, so that their ratios are few.
     """
@@ -256,7 +254,7 @@ def _likelihood(z: Array, R: Array, walk: Array, densities: Array, gyro: Array, 
     squares, logs = local_level.misfit(z[:, :, None], R[:, :, None] * noise, walk[:, None, None])
     at = np.arange(len(densities)) + (len(gyro) - 1 - np.arange(len(gyro)))[:, None]
     fit = squares[:, at] / gyro[:, None] + 2.0 * (logs[:, at] + (len(z) - 1) * np.log(gyro)[:, None])
-    return np.asarray(-0.5 * fit + seen[:, None])
+    return np.asarray(-0.5 * fit + known_gyro(gyro)[:, None])
 
 
 def _grid(least: float, most: float) -> Array:
