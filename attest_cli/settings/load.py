@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from ..errors import AttestError
-from .models import Role, Section, Settings
+from .models import Role, Settings
+from .quantities import Section
 
 CONFIG_NAME = "attest.toml"
 _MAX_BYTES = 1_000_000  # no settings file of a person is larger
