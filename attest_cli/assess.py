@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,6 +18,7 @@ from .track import world_variance
 
 VAGUE_RAD = np.radians(10.0)  # passes less sure than this of their difference cannot be compared
 LONGEST_S = 86400.0  # the advice looks this far ahead
+SOON_S = 5.0  # a stop advised this soon after the last, or before the next, tells nobody anything
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +118,13 @@ def _motion_columns(
     over = np.flatnonzero((t >= s.start) & (t <= s.end) & (sigma.max(axis=1) > threshold_deg))
     when, apart = checks.get(s.index, (None, np.full(3, np.nan)))
     wrong = [name for name, value in zip("xyz", apart, strict=True) if abs(value) > 3.0]
+    after = float(t[over[0]] - s.start) if len(over) else math.nan
     return {
         "closing_velocity_m_s": position.closing.get(s.index) if position else None,
         "distance_m": position.distance.get(s.index) if position else None,
         **{f"separation_{axis}_sigma": _value(v) for axis, v in zip("xyz", apart, strict=True)},
         "separation_s": when,
-        "stop_advised_after_s": float(t[over[0]] - s.start) if len(over) else None,
+        "stop_advised_after_s": after if _worth_a_stop(after, s) else None,
         "checks": f"separation {' '.join(wrong)}" if wrong else "ok",
     }
 
@@ -194,7 +197,9 @@ def stop_advice(
             continue  # where no stop stands before, none can be advised
         late = np.flatnonzero(over & (t >= motion.start) & (t <= motion.end))
         at_stop = np.flatnonzero((t >= stop.used_start) & (t <= stop.used_end))
-        if len(late) and len(at_stop) and sigma[at_stop[-1]].max() < threshold_deg:
+        if not len(late) or not _worth_a_stop(float(t[late[0]]) - motion.start, motion):
+            continue
+        if len(at_stop) and sigma[at_stop[-1]].max() < threshold_deg:
             lines.append(f"segment {motion.index}: stop {_clock(t[late[0]] - motion.start)} after it began")
     return {
         "threshold_deg": threshold_deg,
@@ -204,6 +209,11 @@ def stop_advice(
         "longest_s": longest,
         "smoothed_below": bool(np.all(np.degrees(passes["smoothed"].sigma_n()) <= threshold_deg)),
     }
+
+
+def _worth_a_stop(after: float, motion: Segment) -> bool:
+    """Whether a stop ``after`` s of a motion is neither just after the last nor just before the next."""
+    return SOON_S < after < motion.end - motion.start - SOON_S
 
 
 def _share(t: Array, where: Bools) -> float:

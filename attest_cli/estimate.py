@@ -9,12 +9,12 @@ import numpy as np
 
 from . import filters
 from .assess import Pass
-from .filters import named
 from .filters.alignment import Start
+from .filters.choice import choose
 from .maths import rotation
 from .nodes import Nodes
 from .nodes.noise import Noise, find_noise
-from .records import Array, Bools, FilterRun, Ints, Log, Segmentation, Smoothed, Warn, World
+from .records import Array, Bools, FilterRun, Ints, Log, Segmentation, Shown, Smoothed, Warn, World
 from .settings import Settings
 from .smoothers import SMOOTHERS, backward_estimate, gauss_newton, thinned
 from .track import full_rate
@@ -36,7 +36,8 @@ class Estimate:
 
     ``world`` and ``noise`` they assumed; the ``forward`` run with its ``nodes`` (None: the samples are its nodes); at
     the m nodes that are told of: ``smoothed``, the three ``passes``, ``moving``, and the ``errors`` that a position
-    counts on; ``q`` (n, 4) the smoothed attitude at the IMU samples.
+    counts on; ``q`` (n, 4) the smoothed attitude at the IMU samples; the ``filter`` used, and what it has ``shown`` of
+    the sensors.
     """
 
     world: World
@@ -49,6 +50,8 @@ class Estimate:
     moving: Bools
     q: Array
     warnings: tuple[Warn, ...]
+    filter: str
+    shown: tuple[Shown, ...]
 
 
 def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
@@ -57,6 +60,8 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     Forward, backward, Gauss-Newton where it pays; a log without a stop twice, for its accelerometer windows are turned
     by a gyro whose bias the first round finds.
     """
+    name, _ = choose(log, segmentation, settings)
+    settings = settings.model_copy(update={"smoothing": settings.smoothing.model_copy(update={"filter": name})})
     found, smoothed = _solve(log, segmentation, settings, progress)
     if not segmentation.stops and found.nodes is not None:
         again = replace(segmentation, bias_b=smoothed.bias.mean(axis=0))
@@ -96,7 +101,8 @@ def _told(log: Log, found: filters.Forward, smoothed: Smoothed, world: World, se
     passes["smoothed"] = Pass(smoothed.q, smoothed.bias, smoothed.P)
     warnings = (*found.warnings, *_warnings(run, smoothed, settings, over_nodes=found.nodes is not None))
     return Estimate(
-        world, found.noise, run, found.nodes, smoothed, errors, passes, run.moving[rows], q, warnings
+        world, found.noise, run, found.nodes, smoothed, errors, passes, run.moving[rows], q, warnings, cfg.filter,
+        found.shown,
     )  # fmt: skip
 
 
@@ -116,7 +122,7 @@ def _warnings(run: FilterRun, smoothed: Smoothed, settings: Settings, *, over_no
         told.append(Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", hint))
     if run.absent:
         told.append(
-            Warn("not-estimated", f"{named(cfg.filter)} does not estimate {' and '.join(run.absent)}",
+            Warn("not-estimated", f"{cfg.filter} does not estimate {' and '.join(run.absent)}",
                  "what stands there is dead reckoning or level, with its sigma; --filter indirect estimates all")
         )  # fmt: skip
     elif run.heading == "relative":

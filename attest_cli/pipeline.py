@@ -16,12 +16,13 @@ import numpy as np
 from . import __version__, assess, tables
 from .errors import AttestError
 from .estimate import Estimate, Progress, estimate, silent
-from .filters import named
+from .filters.choice import choose as choose_filter
 from .locate import Vehicle, locate
 from .nodes.noise import CALIBRATION, contradictions, find_noise
 from .nodes.observations import observe
 from .position import Position
 from .prepare import choose, prepare
+from .prepare.groups import files_used, whole_logs
 from .readers import read as read_file
 from .readers.result import read_result
 from .records import Log, Recording, Result, Segmentation, Warn
@@ -33,11 +34,11 @@ from .world import find_world
 from .writers import write_track
 from .writers.files import atomic_write, check_output, write_csv_rows, write_table
 from .writers.folder import result_folder
-from .writers.logs import write_recording
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, KEPT_BYTES = -1, -3, 1 << 30  # malloc.h
 FRAMES = {"enu": "ENU world, FLU body", "ned": "NED world, FRD body"}
 EVALUATION, EVALUATION_PAGE = "evaluation.json", "09-evaluate.png"
+CALIBRATED = ("imu", "gyro", "accel", "temperature", "magnetometer")  # roles that a calibration reads
 LOG_SUFFIXES = (".csv", ".mcap", ".parquet")
 DETECTOR_STEP_S = 0.1  # the statistic is drawn at this step
 
@@ -65,11 +66,12 @@ def smooth(
     with result_folder(output, overwrite=overwrite, inputs=paths) as folder:
         progress("reading", 0.0)
         recordings, log = read(paths, settings)
+        recordings = tuple(_emptied(recording) for recording in recordings)
         progress("finding stops", 0.2)
         segmentation = find_segments(log, settings)
         effective = informed(effective, log)
         settings = effective.settings
-        est = estimate(log, segmentation, settings, progress)
+        est = replace(estimate(log, segmentation, settings, progress), nodes=None)  # their steps are as long as the log
         progress("position", 0.6)
         place, vehicle, warnings = locate(log, segmentation, est, settings)
         warnings += contradictions(log, segmentation, find_noise(log, segmentation, settings), settings)
@@ -77,6 +79,11 @@ def smooth(
         run, track = _assemble(paths, recordings, log, effective, segmentation, est, place, vehicle, warnings)
         progress("writing", 0.7)
         return _write(folder, run, track, settings, progress)
+
+
+def _emptied(recording: Recording) -> Recording:
+    """Return a recording without its values: what is told of its channels needs stamps and units only."""
+    return replace(recording, channels=tuple(replace(channel, values={}) for channel in recording.channels))
 
 
 def informed(effective: Effective, log: Log) -> Effective:
@@ -243,7 +250,7 @@ def calibrate(
     paths: Sequence[Path], effective: Effective, output: Path, *, model: str = "auto", overwrite: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:  # fmt: skip
-    """Calibrate the IMU of a log from what stands still in it; write the folder, return what was found.
+    """Calibrate the IMU of logs from what stands still in them; write the folder, return what was found.
 
     ``effective`` names neither mounting nor calibration: the file is of the sensor's own axes, and of it as it is.
     """
@@ -255,24 +262,28 @@ def calibrate(
     settings = effective.settings
     with result_folder(output, overwrite=overwrite, inputs=paths, last=LAST) as folder:
         progress("reading", 0.0)
-        recordings, log = read(paths, settings)
+        groups = whole_logs([read_file(path, settings) for path in paths], settings)
+        logs = [prepare(recordings, settings) for recordings in groups]
         progress("finding stops", 0.3)
-        segmentation = find_segments(log, settings)
+        rests = [(log, find_segments(log, settings)) for log in logs]
         progress("fitting", 0.5)
-        found = fit(log, segmentation, settings, model=model)
-        channels = choose(recordings, settings).channels
-        file = describe(found, paths, next(channels[role].name for role in ("imu", "gyro") if role in channels))
+        found = fit(*rests[0], settings, rests[1:], model)
+        channels = choose(groups[0], settings).channels
+        used = [path for recordings in groups for path in files_used(recordings, settings, CALIBRATED)]
+        file = describe(found, used, next(channels[role].name for role in ("imu", "gyro") if role in channels))
         progress("drawing", 0.8)
-        head = _head(log, effective)
-        for known, source in zip(head["input"]["files"], file.source.files, strict=True):
-            known["sha256"] = source.sha256
+        head = _head(logs[0], effective)
+        head["input"] |= {
+            "files": [source.model_dump() for source in file.source.files], "duration_s": found.duration,
+            "samples": sum(len(log.imu.t) for log in logs),
+        }  # fmt: skip
         page = draw(found, Result(output, head, {"t_s": np.array([])}, {}, ()), settings.output.theme)
         with atomic_write(folder / NAME) as temporary:
             temporary.write_bytes(page.png())
         write_kalibr(file, folder / "imu.yaml")
         write_calibration(file, folder / LAST)
         progress("done", 1.0)
-    told = (*log.warnings, *segmentation.warnings)
+    told = tuple(dict.fromkeys(w for log, segmentation in rests for w in (*log.warnings, *segmentation.warnings)))
     return {"file": file, "title": page.title, "status": status(found), "warnings": told}
 
 
@@ -288,6 +299,7 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
     for o in observations:
         counts[o.role] = counts.get(o.role, 0) + 1
     used, cfg = {f.channel: role for role, f in log.fixes.items()}, settings.smoothing
+    name, why = choose_filter(log, found, settings)
     seconds = float(log.imu.t[-1] - log.imu.t[0])
     return {
         "log": {"files": [p.name for p in paths], "duration_s": seconds, "samples": len(log.imu.t)},
@@ -298,7 +310,7 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
         "segments": {"stops": len(found.stops), "motions": len(found.motions), "found by": found.source},
         "measurements": counts,
         "frame": {"world": settings.world.frame, "body": settings.body.axes},
-        "methods": {"filter": named(cfg.filter), "smoother": cfg.smoother, "position": cfg.position},
+        "methods": {"filter": name, "why": why, "smoother": cfg.smoother, "position": cfg.position},
         "warnings": [w.message for w in (*log.warnings, *found.warnings, *warnings)],
     }  # fmt: skip
 
@@ -353,6 +365,8 @@ def simulate(scenario: str, output: Path, options: Mapping[str, Any], overwrite:
     truth, config = logs[0].with_suffix(".truth.parquet"), logs[0].parent / "attest.toml"
     for path in (*logs, truth, config):
         check_output(path, overwrite=overwrite)
+    from .writers.logs import write_recording
+
     options_of, run = SCENARIOS[scenario]
     made = run(options_of(**options))
     logs[0].parent.mkdir(parents=True, exist_ok=True)

@@ -24,6 +24,7 @@ ACCEL_WALK = 1e-4  # m/s^2/sqrt(s): how an accelerometer's bias walks
 LONGEST_SILENCE_S = 1.0  # odometry is bridged over this
 LEAST_SPEED_M_S = 0.1
 NO_GAPS = np.zeros((0, 2))
+PROOF = 1.92  # log likelihood ratio of 95 % for one parameter
 UNUSABLE_SHARE = 0.1  # of the distance: a position worse than this is not worth its name
 
 
@@ -77,10 +78,7 @@ def navigated(t: Array, smoothed: Smoothed, segmentation: Segmentation) -> Posit
     p0, p1, v0, v1 = smoothed.p[left], smoothed.p[right], smoothed.v[left], smoothed.v[right]
     p = p0 + s**2 * (3 - 2 * s) * (p1 - p0) + s * (1 - s) * T * ((1 - s) * v0 - s * v1)
     P = smoothed.P_vp[:, 3:, 3:]
-    distance = {
-        m.index: float(np.sum(np.linalg.norm(np.diff(p[m.first : m.last], axis=0), axis=1)))
-        for m in segmentation.motions
-    }
+    distance = {m.index: _length(p[m.first : m.last]) for m in segmentation.motions}
     return Position(p, v0 + s * (v1 - v0), P, {}, distance, _usable(P, distance), "navigation")
 
 
@@ -106,7 +104,7 @@ def odometry_position(
     blind = np.concatenate([gaps, silent])
     v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
     for s in segmentation.stops:
-        v_v[(imu.t >= s.used_start) & (imu.t <= s.used_end)] = 0.0
+        v_v[np.searchsorted(imu.t, s.used_start) : np.searchsorted(imu.t, s.used_end, side="right")] = 0.0
     v_n = rotation.rotate(q, v_v @ rotation.matrix(q_bv).T)
     moved = 0.5 * (v_n[1:] + v_n[:-1]) * np.diff(imu.t)[:, None]
     moved[_touched(imu.t, blind)] = 0.0
@@ -120,10 +118,7 @@ def odometry_position(
     noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]
     noise += _blind_variance(t, blind, _rms_speed(v_v))[:, None, None] * np.eye(3)
     P = _odometry_covariance(markov(smoothed), step, noise, cfg.scale_sigma)
-    distance = {
-        s.index: float(np.sum(np.linalg.norm(np.diff(p[s.first : s.last], axis=0), axis=1)))
-        for s in segmentation.motions
-    }
+    distance = {s.index: _length(p[s.first : s.last]) for s in segmentation.motions}
     return Position(p, v_n, P, {}, distance, _usable(P, distance), "odometry")
 
 
@@ -140,12 +135,9 @@ def silences(odometry: Fixes, span: Array, segmentation: Segmentation) -> Array:
 
 def _rms_speed(v: Array) -> float:
     """Return the rms speed while moving, at least ``LEAST_SPEED``: what a position may run away with unseen."""
-    speed = np.linalg.norm(v, axis=1)
-    return (
-        max(LEAST_SPEED_M_S, float(np.sqrt(np.mean(speed[speed > STILL_M_S] ** 2))))
-        if (speed > STILL_M_S).any()
-        else LEAST_SPEED_M_S
-    )
+    speed = np.sqrt(np.einsum("ki,ki->k", v, v))
+    moving = speed[speed > STILL_M_S]
+    return max(LEAST_SPEED_M_S, float(np.sqrt(np.mean(moving**2)))) if moving.size else LEAST_SPEED_M_S
 
 
 def _touched(t: Array, spans: Array) -> Bools:
@@ -190,35 +182,63 @@ def _odometry_covariance(chain: Markov, step: Array, noise: Array, scale_sigma: 
 
 
 def inertial_position(
-    imu: Imu,
-    q: Array,
-    smoothed: Smoothed,
-    segmentation: Segmentation,
-    settings: Settings,
-    gravity: float,
-    accel_density: float,
-    gaps: Array = NO_GAPS,
-    literal: bool = False,
-) -> Position:
+    imu: Imu, q: Array, smoothed: Smoothed, segmentation: Segmentation, settings: Settings, gravity: float,
+    accel_density: float, gaps: Array = NO_GAPS, literal: bool = False,
+) -> Position:  # fmt: skip
     r"""Integrate the specific force over every motion, from rest to rest.
 
     Strapdown: :math:`a=R_{nb}f-g`, trapezoid in velocity, its integral in position; then the whole motion is
     conditioned on the zero velocity at its end: :math:`x_k\leftarrow x_k-\Sigma_k\Lambda_k^TS^{-1}v(T)`, where
     :math:`\mathrm{Cov}(x_k,v(T))=\Sigma_k\Lambda_k^T` follows from the error chain. ``literal``: eqs 41-44 (with their
     index corrected) and the linear removal :math:`v-\frac{t-t_0}{T}v(T)`, :math:`p-\frac{(t-t_0)^2}{2T}v(T)`.
+    In motion the accelerometer is noisier than at rest (shaking): by as much as the velocities v(T) ask for.
 
     Notes
     -----
     Errors of different motions count as independent. A motion without a stop before it, or with a gap in it, has no
     velocity to start from: NaN there, and after a gap.
     """
-    n, t = len(imu.t), smoothed.t
+    chain, legs = markov(smoothed), _legs(segmentation, gaps)
+
+    def integrate(density: float) -> tuple[Position, list[Closing]]:
+        return _integrated(imu, q, smoothed.t, chain, legs, settings, gravity, density, literal)
+
+    found, closings = integrate(accel_density)
+    shaking = _shaking(closings)
+    return integrate(float(np.hypot(accel_density, shaking)))[0] if shaking > 0.0 else found
+
+
+Closing = tuple[Array, Array, float]
+"""Velocity (3,) left at the end of a motion, its predicted covariance (3, 3), length of the motion, s."""
+
+
+def _shaking(closings: list[Closing]) -> float:
+    """Return the density, m/s^2/sqrt(Hz), that the closing velocities ask for beside the noise at rest (maximum
+    likelihood); 0 unless they contradict that alone (likelihood ratio, 95 %).
+    """
+    if not closings:
+        return 0.0
+    q = np.concatenate([[0.0], np.geomspace(1e-10, 1.0, 201)])  # spectral density, m^2/s^3
+    likelihood = np.zeros(len(q))
+    for velocity, predicted, length in closings:
+        values, axes = np.linalg.eigh(predicted)
+        S = np.maximum(values, 0.0) + q[:, None] * length
+        likelihood -= 0.5 * np.sum((velocity @ axes) ** 2 / S + np.log(S), axis=1)
+    best = int(np.argmax(likelihood))
+    return float(np.sqrt(q[best])) if likelihood[best] - likelihood[0] > PROOF else 0.0
+
+
+def _integrated(
+    imu: Imu, q: Array, t: Array, chain: Markov, legs: list[tuple[Segment, Segment | None, Segment | None]],
+    settings: Settings, gravity: float, accel_density: float, literal: bool,
+) -> tuple[Position, list[Closing]]:  # fmt: skip
+    """Return the position over all legs, and the velocities that were left at their ends."""
+    n, closings = len(imu.t), list[Closing]()
     p, v, P = np.full((n, 3), np.nan), np.full((n, 3), np.nan), np.full((len(t), 3, 3), np.nan)
     closing: dict[int, float] = {}
     distance: dict[int, float] = {}
-    chain = markov(smoothed)
     here, spread = np.zeros(3), np.zeros((3, 3))
-    for stop, motion, following in _legs(segmentation, gaps):
+    for stop, motion, following in legs:
         first = stop.used_start if np.isfinite(p[:, 0]).any() else stop.start
         last = stop.used_end if motion is not None else stop.end
         rows, at = _inside(imu.t, first, last), _inside(t, first, last)
@@ -233,11 +253,13 @@ def inertial_position(
         v[rows] = leg.v + _at(imu.t[rows], t[at], dv)
         p[rows] = here + leg.p + _at(imu.t[rows], t[at], dp)
         P[at] = spread + C
-        distance[motion.index] = float(np.sum(np.linalg.norm(np.diff(p[rows], axis=0), axis=1)))
+        distance[motion.index] = _length(p[rows])
         if following is not None:
             closing[motion.index] = float(np.linalg.norm(leg.v[-1]))
+            closings.append((leg.v[-1], S[-1, 6:9, 6:9] + STILL_M_S**2 * np.eye(3), float(leg.t[-1] - leg.t[0])))
         here, spread = p[rows.stop - 1].copy(), P[at.stop - 1].copy()
-    return Position(p, v, P, closing, distance, _usable(P, distance), "literal" if literal else "strapdown")
+    found = Position(p, v, P, closing, distance, _usable(P, distance), "literal" if literal else "strapdown")
+    return found, closings
 
 
 def _legs(segmentation: Segmentation, gaps: Array) -> list[tuple[Segment, Segment | None, Segment | None]]:
@@ -358,6 +380,12 @@ def _means(t: Array, values: Array, edges: Array) -> Array:
     """Return the means of a sampled signal between consecutive edges (trapezoid of its integral)."""
     integral = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
     return np.asarray(np.diff(np.interp(edges, t, integral)) / np.diff(edges))
+
+
+def _length(p: Array) -> float:
+    """Return the length of the line through points ``p`` (n, 3)."""
+    step = np.diff(p, axis=0)
+    return float(np.sum(np.sqrt(np.einsum("ki,ki->k", step, step))))
 
 
 def _usable(P: Array, distance: Mapping[int, float]) -> bool:

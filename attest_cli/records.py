@@ -111,6 +111,7 @@ class Recording:
     rows: int  # rows or messages read in all
     other: Mapping[str, str] = field(default_factory=dict)  # channels not read: name -> type
     warnings: tuple[Warn, ...] = ()
+    notes: tuple[str, ...] = ()  # how the file was understood: dialect, units, which column became what
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +275,8 @@ class Smoothed:
     """A smoothed pass over n nodes: ``q`` (n, 4), ``bias`` (n, 3), covariance ``P`` (n, 6, 6) about it, lag-one
     covariance ``cross`` (n - 1, 6, 6), how many Gauss-Newton passes were made, and the backward ``information`` (Y,
     y) if it was used. A filter that estimates them too adds velocity and position ``v``, ``p`` (n, 3) and their
-    covariance ``P_vp`` (n, 6, 6), navigation axes.
+    covariance ``P_vp`` (n, 6, 6), navigation axes; ``heading_relative`` (n,) rad^2: of the heading with its mean over
+    the motion taken out, where its datum is the larger error.
     """
 
     t: Array
@@ -288,6 +290,17 @@ class Smoothed:
     v: Array | None = None
     p: Array | None = None
     P_vp: Array | None = None
+    heading_relative: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a drive shows of its sensors: ``values`` with their ``sigma`` (none: found otherwise), in ``unit``."""
+
+    name: str
+    values: tuple[float, ...]
+    sigma: tuple[float, ...]
+    unit: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +310,8 @@ class FilterRun:
 
     A chain of other states than ``[dtheta_b, dbias]`` comes with ``read``, which turns errors of its states (zero: the
     pass itself) into attitude and bias; ``absent`` names what such a filter does not estimate. ``increments`` are those
-    it used, where it runs over preintegrated nodes.
+    it used, where it runs over preintegrated nodes. ``beforehand``: information (Y (s, s), y (n, s)) about states that
+    do not change, known at either end of the log.
     """
 
     t: Array
@@ -311,3 +325,4 @@ class FilterRun:
     start_in_motion: bool
     read: Callable[[Errors], Smoothed] | None = None
     absent: tuple[str, ...] = ()
+    beforehand: tuple[Array, Array] | None = None

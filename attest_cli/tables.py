@@ -85,6 +85,8 @@ class Track:
         if self.position is not None:
             P = R_world @ self.position.P @ R_world.T
             out |= vector("sigma_position_{}_m", np.einsum("kii->ki", P))
+        if s.heading_relative is not None:
+            out["sigma_heading_relative_deg"] = s.heading_relative * np.degrees(1.0) ** 2
         return out
 
     def _columns(self, rows: slice, q: Array, angles: Array, nodes: Columns, R_world: Array) -> Columns:
@@ -103,7 +105,10 @@ class Track:
             "sigma_gyro_bias_{}_rad_s", at
         )
         columns |= vector("position_{}_m", p) | _sigmas("sigma_position_{}_m", at, p) | vector("velocity_{}_m_s", v)
-        return columns | {"segment": segment, "moving": moving}
+        columns |= {"segment": segment, "moving": moving}
+        if "sigma_heading_relative_deg" in at:
+            columns["sigma_heading_relative_deg"] = np.sqrt(at["sigma_heading_relative_deg"]).astype(np.float32)
+        return columns
 
 
 def _sigmas(name: str, variances: Columns, known: Array | None = None) -> Columns:

@@ -58,6 +58,9 @@ def calibrate(
     notes = [*record.notes, *([low_pass_note("gyro", 0.5 * record.rate_hz / white, share)] if white > 1 else [])]
     blocks, edges = cut(record.pieces, _block_length(record, white))
     celsius = _temperature(logs, record)
+    if model == "temperature" and celsius is None:
+        message = f"{log.sources[0].name}: the log has no temperature"
+        raise AttestError(message, "map one with --map temperature=CHANNEL")
     axes = [_axis(record, blocks, edges, k, celsius, white, model) for k in range(3)]
     if record.static and min(float(axis.model.sigma.min()) for axis in axes) < EARTH_RATE / 3.0:
         notes.append("the bias holds what the axis sees of the Earth's rotation, up to 15 deg/h")
@@ -149,7 +152,7 @@ def _noise(record: Record, values: list[Array], white: int, *, across: bool) -> 
     """Return noise and Allan deviation of one axis."""
     noise = fit_noise(record.pieces, values, white, across=across)
     allan = allan_deviation(values, record.period, walk_ratio=(noise.K / noise.N) ** 2 if noise.K is not None else 0.0)
-    B, tau, why = read_instability(allan)
+    B, tau, why = read_instability(allan, noise.N)
     return replace(noise, B=B, B_tau=tau, notes=(*noise.notes, *([why] if why else []))), allan
 
 

@@ -88,10 +88,11 @@ def low_pass_note(what: str, hz: float, share: float) -> str:
     return f"{what}: single samples are {quiet} than its noise density ({why}), which is that below {hz:.2g} Hz"
 
 
-def read_instability(allan: Allan) -> tuple[float | None, float | None, str]:
-    """Return B read off the lowest point of the Allan curve and its averaging time, or why there is none.
+def read_instability(allan: Allan, N: float) -> tuple[float | None, float | None, str]:
+    r"""Return B read off the lowest point of the Allan curve and its averaging time, or why there is none.
 
-    Only points known to a factor of 1.5 count: beyond, the lowest is chance.
+    Only points known to a factor of 1.5 count: beyond, the lowest is chance. And only where the line of white noise of
+    density ``N``, :math:`N/\sqrt\tau`, lies below that point's interval: else white noise alone explains it.
     """
     known = allan.high < KNOWN * allan.deviation
     if known.sum() < 3:
@@ -100,4 +101,6 @@ def read_instability(allan: Allan) -> tuple[float | None, float | None, str]:
     lowest = int(np.argmin(curve))
     if lowest == len(curve) - 1:
         return None, None, "no bias instability seen: the Allan deviation still falls as far as it is known"
+    if N / math.sqrt(float(allan.tau[known][lowest])) >= allan.low[known][lowest]:
+        return None, None, "no bias instability seen: white noise explains the smallest Allan deviation"
     return float(curve[lowest]) / FLICKER, float(allan.tau[known][lowest]), ""

@@ -17,6 +17,7 @@ READABLE = (".csv", ".mcap", ".parquet")
 NOT_LOGS = (".truth", ".stops")  # what attest writes beside a log
 DEG = math.degrees(1.0)
 ROOT_HOUR, HOUR = 60.0, 3600.0
+UNITS = {"c0": " at 25 °C", "c1": "/K", "c2": "/K²"}  # of a temperature polynomial, after °/s
 
 
 def logs_here(folder: Path) -> list[Path]:
@@ -50,11 +51,8 @@ def run(
     _tell(file, title, status, console)
     for warning in found["warnings"]:
         console.warn(warning.message, warning.hint)
-    if console.verbose:
-        for line in notes(file, noise=True):
-            console.say((f"  {line}", "mute"))
-    for line in notes(file):
-        console.warn(line)
+    for line in (*notes(file), *(notes(file, noise=True) if console.verbose else ())):
+        console.say((f"  {line}", "mute"))
     console.say(("→ ", "mute"), f"{folder}/", ("  calibration.toml, imu.yaml, 08-calibrate-bias.png", "mute"))
     return OK
 
@@ -82,11 +80,11 @@ def _tell(file: CalibrationFile, title: str, status: str, console: Console) -> N
 
     console.say((f"{MARKS[status]} ", status), (title, "strong"), (f"  {status}", status))
     source = file.source
-    rest = "at rest" if source.static else f"{duration(source.at_rest_s)} of it at rest"
+    rest = "at rest" if source.rests else f"{duration(source.at_rest_s)} of it at rest"
     console.say(("  log  ", "mute"), f"{duration(source.duration_s)}, {rest}, {source.rate_hz:.4g} Hz")
     for name, axis in zip("xyz", file.axes, strict=True):
         for what, value, note in _rows(axis):
-            console.say((f"  {name}  {what:<5}", "mute"), f"{value:<26}", (note, "mute"))
+            console.say((f"  {name}  {what:<5}", "mute"), f"{value:<27}", (note, "mute"))
     accel = file.accelerometer
     if accel is not None:
         density = ", ".join(f"{n.noise_density:.3g}" for n in (accel.x, accel.y, accel.z))
@@ -99,8 +97,9 @@ def _rows(axis: GyroAxis) -> Iterator[tuple[str, str, str]]:
     bias, noise = axis.bias, axis.noise
     now = bias.values[0] if bias.model in {"constant", "random-walk"} else None
     if now is not None:
-        sigma = f"± {2.0 * bias.sigma * DEG:.2g}"
-        yield "bias", f"{now * DEG:.4g} {sigma} °/s", f"{now * DEG * HOUR:.4g} °/h, {bias.model}{_white(axis)}"
+        two = 2.0 * bias.sigma
+        degrees = f"{now * DEG:.4g} ± {two * DEG:.2g} °/s (95 %), {now * DEG * HOUR:.4g} °/h"
+        yield "bias", f"{now:.4g} ± {two:.2g} rad/s", f"{degrees}, {bias.model}{_white(axis)}"
     else:
         values = ", ".join(_named(n, v) for n, v in zip(bias.names, bias.values, strict=True))
         yield "bias", bias.model, f"{values}{_white(axis)}"
@@ -113,7 +112,8 @@ def _rows(axis: GyroAxis) -> Iterator[tuple[str, str, str]]:
     else:
         bound = noise.random_walk_95[1]
         below = f"below {bound:.3g} rad/s²/√Hz, {bound * DEG * HOUR * ROOT_HOUR:.3g} °/h/√h (95 %)"
-        yield "K", "not seen", below if math.isfinite(bound) else "the record is too short"
+        short = f"too short for K: {below}" if math.isfinite(bound) else "the record is too short for K"
+        yield "K", "not seen", below if axis.knows_walk else short
 
 
 def _both(noise: Noise, name: str, factor: float, unit: str) -> str:
@@ -128,7 +128,7 @@ def _named(name: str, value: float) -> str:
         return f"T {value / 60.0:.3g} min"
     if name == "slope":
         return f"slope {value * DEG * HOUR:.3g} °/s per h"
-    return f"{name} {value * DEG:.3g} °/s{'/K' * (name == 'c1')}{'/K²' * (name == 'c2')}"
+    return f"{name} {value * DEG:.3g} °/s{UNITS.get(name, '')}"
 
 
 def _white(axis: GyroAxis) -> str:

@@ -40,6 +40,9 @@ def run(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any],
             console.say(
                 (f"{recording.source.name}", "strong"), (f"  {recording.format}, {recording.rows} rows in all", "mute")
             )
+            for note in recording.notes:
+                if console.verbose or not note.startswith(" "):
+                    console.say((f"  {note}", "mute"))
         shown = [channel for channel in found if "rows" in channel or console.verbose] or found
         console.table([HEAD, *map(_row, shown)], right="llrrrrr")
         _unread([channel["name"] for channel in found if channel not in shown], console)
@@ -111,4 +114,5 @@ def _unread(names: Sequence[str], console: Console) -> None:
 
 
 def _file(recording: Recording) -> dict[str, Any]:
-    return {"path": str(recording.source), "format": recording.format, "rows": recording.rows}
+    facts = {"path": str(recording.source), "format": recording.format, "rows": recording.rows}
+    return {**facts, "notes": list(recording.notes)}

@@ -200,8 +200,9 @@ def _judge(
         sides = [side.where(_known(side.q)) for side in (est, ref)]
         pairs, counts = _pair(sides[0], sides[1], options.moving_only)
         P = None if result.claims is None else _at_times(result.claims.attitude, result.claims, pairs.t, t0)
+        turning = slice(2, 3) if mode == "yaw" and not options.align_body else slice(None)
         q_world, q_body = alignment.fit_rotations(
-            pairs.est_q[counts], pairs.ref_q[counts], _weights(P, counts), mode, body=options.align_body
+            pairs.est_q[counts], pairs.ref_q[counts], _weights(P, counts, turning), mode, body=options.align_body
         )
         frames = replace(frames, q_world=q_world, q_body=q_body)
         attitude, heading, noise = _attitude(pairs, counts, frames, P, _relative_sigma(result.claims, pairs.t, t0))
@@ -230,12 +231,15 @@ def _relative_sigma(claims: Claims | None, t: Array, t0_ns: int) -> Array | None
     return np.asarray(np.sqrt(_at_times(claims.heading_relative, claims, t, t0_ns)))
 
 
-def _weights(P: Array | None, counts: Bools) -> Array:
-    """Return how much each sample counts in an alignment: by its claimed attitude variance."""
+def _weights(P: Array | None, counts: Bools, turning: slice) -> Array:
+    """Return how much each sample counts in an alignment: by the claimed variance about the axes it turns about.
+
+    By its square, 1/sigma^4: errors of a drift are alike, and a heading that counts from the start is known best there.
+    """
     if P is None:
         return np.ones(int(counts.sum()))
-    trace = np.einsum("nii->n", P[counts])
-    return np.asarray(1.0 / (np.where(np.isfinite(trace), trace, np.pi**2) + FLOOR_RAD**2))
+    trace = np.einsum("nii->n", P[counts][:, turning, turning])
+    return np.asarray(1.0 / (np.where(np.isfinite(trace), trace, np.pi**2) + FLOOR_RAD**2) ** 2)
 
 
 def _sigmas(P: Array | None) -> Array | None:

@@ -17,10 +17,11 @@ from .words import THIN, duration, number, short_duration, two_digits
 
 NAME = "08-calibrate-bias.png"
 HEIGHT = 7.15
-COLUMNS, WIDTH = (0.98, 3.38, 5.78), 1.98
+COLUMNS, WIDTH = (1.2, 3.53, 5.86), 1.88
 BIAS, REST, ALLAN, LAGS = (1.13, 0.85), (2.09, 0.55), (3.32, 1.75), (5.72, 0.72)  # top and height of the rows
 ENVELOPE_S, MEAN_S = 1.0, 10.0  # the light and the dark line are means over these
 MOST_MEANS = 60  # of a drive
+MOSTLY = 0.9  # share of its duration that a log rests which is said to be at rest
 DEG, DEG_H, DEG_ROOT_H, DEG_H_ROOT_H = (math.degrees(1.0) * k for k in (1.0, 3600.0, 60.0, 3600.0 * 60.0))
 FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)  # Allan deviation of flicker noise over its B
 SETTLED = 3.0  # time constants after which 5 % of a warm-up is left
@@ -36,8 +37,7 @@ def draw(calibration: Calibration, result: Result, theme: str = "light") -> Page
     )  # fmt: skip
     span, length = _span(calibration), mean_length(calibration)
     allan_limits = _allan_limits(calibration)
-    rho = np.concatenate([a.whiteness.rho for a in calibration.axes])
-    lags = min(-0.16, 1.1 * float(rho.min(initial=0.0))), max(0.28, 1.1 * float(rho.max(initial=0.0)))
+    lags = _lag_limits(calibration)
     for k, axis in enumerate(calibration.axes):
         _bias(page, axis, k, span, length)
         _residual(page, axis, k, span, length)
@@ -73,7 +73,8 @@ def titles(calibration: Calibration) -> list[str]:
 def _notes(calibration: Calibration, drive: Drive) -> list[str]:
     count = real((drive.report.get("input") or {}).get("samples"))
     samples = f"{number(count)} samples at " if math.isfinite(count) else ""
-    rest = "at rest" if calibration.static else f"{duration(calibration.at_rest)} of it at rest"
+    rests = calibration.static and calibration.at_rest >= MOSTLY * calibration.duration
+    rest = "at rest" if rests else f"{duration(calibration.at_rest)} of it at rest"
     notes = [duration(calibration.duration), rest, f"{samples}{calibration.rate_hz:.4g} Hz", "worst axis"]
     times = [t for t in (warm_up(axis) for axis in calibration.axes) if t is not None]
     return [*notes, f"warm-up over after {short_duration(SETTLED * max(times))}"] if times else notes
@@ -128,7 +129,8 @@ def _bias(page: Page, axis: Axis, k: int, span: tuple[float, float], mean_s: flo
     fit, two = model.fitted * DEG, 2.0 * model.sigma * DEG
     fine, coarse = (means(axis.fine, axis.fine.rate * DEG, length) for length in (ENVELOPE_S, mean_s))
     low, high = (np.quantile(fine.mean, q) for q in (0.002, 0.998))
-    limits = padded(float(min(low, fit.min())), float(max(high, fit.max())), 0.08)
+    below, above = np.median(fit - 1.5 * two), np.median(fit + 1.5 * two)  # wider than the means of a short log
+    limits = padded(float(min(low, fit.min(), below)), float(max(high, fit.max(), above)), 0.08)
     panel = page.panel((COLUMNS[k], BIAS[0], WIDTH, BIAS[1]), span, limits)
     at = ticks.linear(*limits, 4)
     panel.grid(at[0])
@@ -278,6 +280,15 @@ def _noise_lines(panel: Panel, axis: Axis) -> None:
         below = float(panel.y(noise.K * DEG_H * math.sqrt(10.0**starts / 3.0))) + 0.15
         corner = corner[0], min(max(below, panel.top + 0.15), corner[1])
     panel.page.text(*corner, words, align="right", halo=True)
+
+
+def _lag_limits(calibration: Calibration) -> tuple[float, float]:
+    """Limits that hold every autocorrelation and most of its band."""
+    rho = np.concatenate([axis.whiteness.rho for axis in calibration.axes])
+    band = np.concatenate([axis.whiteness.band for axis in calibration.axes])
+    reach = float(np.median(band)) if band.size else 0.0
+    low, high = float(rho.min(initial=-reach)), float(rho.max(initial=reach))
+    return min(-0.16, 1.2 * low), max(0.28, 1.2 * high)
 
 
 def _autocorrelation(page: Page, axis: Axis, k: int, limits: tuple[float, float]) -> None:

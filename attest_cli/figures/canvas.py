@@ -13,9 +13,10 @@ from . import style
 from .page import Marks, Shape, Text
 
 if TYPE_CHECKING:
-    from .page import Kind, Page
+    from .page import Align, Kind, Page
 
 Pixels = NDArray[np.uint8]
+COMPRESSION = 4  # two thirds of the time of level 6 for 8 % more bytes
 _ANCHOR = {"left": "ls", "middle": "ms", "right": "rs"}
 
 
@@ -34,7 +35,7 @@ def rasterise(page: Page) -> bytes:
     out = Image.fromarray(index)
     out.putpalette(palette.tobytes())
     file = io.BytesIO()
-    out.save(file, "PNG", dpi=(style.DPI, style.DPI), compress_level=6)
+    out.save(file, "PNG", dpi=(style.DPI, style.DPI), compress_level=COMPRESSION)
     return file.getvalue()
 
 
@@ -133,22 +134,33 @@ def _marks(renderer: Any, gc: Any, to_pixels: Any, page: Page, marks: Marks) -> 
 
 
 def _write(image: Any, page: Page, text: Text) -> None:
-    """Text through an enlarged mask: at its place to a third of a pixel, with even spacing."""
+    """Paste a text at its place to a third of a pixel, over its halo."""
+    many, words = style.TEXT_SCALE, style.drawable(text.text)
+    column, row = (divmod(round(v * style.DPI * many), many) for v in (text.x, text.y))
+    halo = [(2 * many, "paper")] if text.halo else []
+    for width, colour in (*halo, (0, text.colour)):
+        mask, left, top = _lettered(words, text.size, text.bold, text.align, (column[1], row[1]), width)
+        image.paste(page.colour(colour), (column[0] + left, row[0] + top), mask)
+
+
+@lru_cache(maxsize=2048)
+def _lettered(
+    words: str, size: float, bold: bool, align: Align, phase: tuple[int, int], stroke: int
+) -> tuple[Any, int, int]:
+    """Mask of a text that begins ``phase`` enlarged pixels into its pixel, and where its corner lies from there.
+
+    Drawn enlarged and reduced: at its place to a third of a pixel, with even spacing. Pages share most of their words.
+    """
     from PIL import Image, ImageDraw
 
-    many, font, words = style.TEXT_SCALE, style.font(text.size, text.bold), style.drawable(text.text)
-    anchor, halo = _ANCHOR[text.align], 2 * many if text.halo else 0
-    at = [round(v * style.DPI * many) for v in (text.x, text.y)]
-    left, top, right, bottom = (round(v) for v in font.getbbox(words, anchor=anchor, stroke_width=halo))
-    corner = [(v + w) // many - 1 for v, w in zip(at, (left, top), strict=True)]
-    size = [(v + w) // many + 2 - c for v, w, c in zip(at, (right, bottom), corner, strict=True)]
-    inner = (at[0] - many * corner[0], at[1] - many * corner[1])
-    for width, colour in ((halo, "paper"), (0, text.colour)):
-        if colour == "paper" and not halo:
-            continue
-        mask = Image.new("L", (many * size[0], many * size[1]))
-        ImageDraw.Draw(mask).text(inner, words, font=font, fill=255, anchor=anchor, stroke_width=width)
-        image.paste(page.colour(colour), (corner[0], corner[1]), mask.reduce(many))
+    many, font, anchor = style.TEXT_SCALE, style.font(size, bold), _ANCHOR[align]
+    left, top, right, bottom = (round(v) for v in font.getbbox(words, anchor=anchor, stroke_width=stroke))
+    corner = [(v + w) // many - 1 for v, w in zip(phase, (left, top), strict=True)]
+    extent = [many * ((v + w) // many + 2 - c) for v, w, c in zip(phase, (right, bottom), corner, strict=True)]
+    mask = Image.new("L", (extent[0], extent[1]))
+    inner = (phase[0] - many * corner[0], phase[1] - many * corner[1])
+    ImageDraw.Draw(mask).text(inner, words, font=font, fill=255, anchor=anchor, stroke_width=stroke)
+    return mask.reduce(many), corner[0], corner[1]
 
 
 def to_palette(rgba: Pixels, paper: tuple[int, int, int], exact: list[tuple[int, int, int]]) -> tuple[Pixels, Pixels]:

@@ -164,6 +164,11 @@ class Drive:
         return tuple(clean(name, 30) for name in (self.report.get("methods") or {}).get("not_estimated") or [])
 
     @property
+    def tilts(self) -> bool:
+        """False where the filter takes the vehicle as level: nothing to tell of roll and pitch."""
+        return not {"roll", "pitch"} <= set(self.not_estimated)
+
+    @property
     def duration_s(self) -> float:
         """Length of the log in seconds."""
         stated = real((self.report.get("input") or {}).get("duration_s"))

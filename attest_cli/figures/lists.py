@@ -102,11 +102,16 @@ def weakest_of(drive: Drive) -> list[Part]:
 
 
 def sigmas_of(drive: Drive, part: Part) -> list[float]:
-    """Worst smoothed sigma of tilt, and of heading where there is one, in a segment; 0 where nothing is known."""
+    """Worst smoothed sigma of what ``_angles`` names, in a segment; 0 where nothing is known."""
     rows = drive.during(part.start, part.end)
-    found = [drive.tilt_sigma("smoothed", rows)]
-    found += [] if drive.relative else [drive.column("smoothed_sigma_att_z_deg")[rows]]
+    of = {"tilt": drive.tilt_sigma("smoothed", rows), "heading": drive.column("smoothed_sigma_att_z_deg")[rows]}
+    found = [of[name] for name in _angles(drive)]
     return [float(np.max(values, initial=0.0, where=np.isfinite(values))) for values in found]
+
+
+def _angles(drive: Drive) -> list[str]:
+    """Tilt, and heading where something tells north or nothing else is estimated."""
+    return [*(["tilt"] if drive.tilts else []), *([] if drive.relative and drive.tilts else ["heading"])]
 
 
 def weakest_height(drive: Drive) -> float:
@@ -116,7 +121,7 @@ def weakest_height(drive: Drive) -> float:
 
 def weakest(page: Page, drive: Drive, x: float, y: float) -> float:
     """Draw the table of the weakest motions with its head on ``y``; returns the baseline under it."""
-    heads = ["start", "length", "tilt σ", *([] if drive.relative else ["heading σ"]), "separation"]
+    heads = ["start", "length", *(f"{name} σ" for name in _angles(drive)), "separation"]
     rights = [x + 1.05 + 0.78 * k for k in range(len(heads))]
     page.text(x, y, "Weakest motions", size=style.ROW, bold=True)
     note = "smoothed σ at worst; separation of the passes"

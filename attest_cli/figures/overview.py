@@ -53,14 +53,19 @@ def titles(drive: Drive) -> list[str]:
     north = "magnetic heading" if drive.heading == "magnetic" else "heading"
     if not drive.relative:
         _sort(known, lost, north, heading, HEADING_LOST_DEG)
-    _sort(known, lost, "tilt", tilt, TILT_LOST_DEG)
+    if drive.tilts:
+        _sort(known, lost, "tilt", tilt, TILT_LOST_DEG)
+    else:
+        _sort(known, lost, "relative heading", heading, HEADING_LOST_DEG)
+        lost.append("roll and pitch taken as level")
     if plan_view.usable(drive) and math.isfinite(drive.stat("position_sigma_median_m")):
         known.append(f"position to {two_digits(drive.stat('position_sigma_median_m'))} m")
     grown = drive.stat("sigma_heading_max_deg")
-    datum = ["heading is relative only"] if drive.relative else []
+    datum = ["heading is relative only"] if drive.relative and drive.tilts else []
     tails = ["; ".join(datum + lost)]
     if drive.relative and math.isfinite(grown) and grown < HEADING_LOST_DEG:
-        tails.insert(0, "; ".join([f"heading is relative only, its σ grows to {two_digits(grown)}°", *lost]))
+        grows = f"its σ grows to {two_digits(grown)}°"
+        tails.insert(0, "; ".join([", ".join([*datum, grows]), *lost]))
     head = "No stop found: " if not drive.stops else ""
     body = ", ".join([known[0].replace(" to ", " known to ", 1), *known[1:]]) if known else "attitude not known"
     found = [head + (body if head else body[0].upper() + body[1:]) + (f"; {t}" if t else "") for t in tails]
@@ -87,7 +92,7 @@ def _notes(drive: Drive) -> list[str]:
     samples, rate = source.get("samples"), source.get("rate_hz")
     sensors = [clean(s, 40) for s in source.get("sensors") or []]
     unseen = "heading is not estimated" if "heading" in drive.not_estimated else "no heading sensor"
-    missing = [*([unseen] if drive.relative else [])]
+    missing = [*([unseen] if drive.relative else []), *([] if drive.tilts else ["the vehicle counts as level"])]
     missing += [] if np.isfinite(drive.column("position_x_m")).any() else ["no position"]
     counted_samples = f"{number(samples)} samples" if samples is not None else ""
     return [
@@ -110,8 +115,8 @@ def _alt(drive: Drive) -> str:
 def key_numbers(drive: Drive) -> list[tuple[str, str, str]]:
     """Value, words and colour of the five to seven numbers under the title."""
     heading, tilt = drive.stat("sigma_heading_median_deg"), drive.stat("sigma_tilt_median_deg")
-    out = [] if drive.relative else [(f"{two_digits(heading)}°", "heading σ, median", "text")]
-    out.append((f"{two_digits(tilt)}°", "tilt σ, median", "text"))
+    out = [(f"{two_digits(heading)}°", "heading σ, median", "text")] if not (drive.relative and drive.tilts) else []
+    out += [(f"{two_digits(tilt)}°", "tilt σ, median", "text")] if drive.tilts else []
     if drive.relative:
         out.append(("none", "absolute heading", "warn"))
     if plan_view.usable(drive):

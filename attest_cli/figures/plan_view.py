@@ -129,14 +129,16 @@ def ellipse_nodes(drive: Drive, plan: Plan, width_m: float) -> list[int]:
 def _ellipses(page: Page, panel: Panel, drive: Drive, plan: Plan) -> None:
     turn = np.linspace(0.0, 2.0 * math.pi, 41)
     circle = CHI_95 * np.column_stack((np.cos(turn), np.sin(turn)))
-    runs = []
-    for k in ellipse_nodes(drive, plan, panel.x_limits[1] - panel.x_limits[0]):
-        cross = plan.covariance[k] if math.isfinite(plan.covariance[k]) else 0.0
-        values, axes = np.linalg.eigh([[plan.sigma_right[k] ** 2, cross], [cross, plan.sigma_up[k] ** 2]])
-        ring = circle * np.sqrt(np.maximum(values, 0.0)) @ axes.T
-        runs.append(np.column_stack((panel.x(plan.right[k] + ring[:, 0]), panel.y(plan.up[k] + ring[:, 1]))))
-    if runs:
-        page.items.append(Shape(tuple(runs), "measurement", 0.35, clip=panel.box))
+    k = ellipse_nodes(drive, plan, panel.x_limits[1] - panel.x_limits[0])
+    if not k:
+        return
+    cross = np.nan_to_num(plan.covariance[k])
+    level = np.array([[plan.sigma_right[k] ** 2, cross], [cross, plan.sigma_up[k] ** 2]])
+    values, axes = np.linalg.eigh(level.transpose(2, 0, 1))
+    rings = circle * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ axes.swapaxes(1, 2)
+    across, down = panel.x(plan.right[k, None] + rings[..., 0]), panel.y(plan.up[k, None] + rings[..., 1])
+    places = np.stack((across, down), axis=-1)
+    page.items.append(Shape(tuple(places), "measurement", 0.35, clip=panel.box))
 
 
 def stop_places(drive: Drive, plan: Plan) -> list[tuple[Part, float, float]]:

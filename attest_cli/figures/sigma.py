@@ -85,7 +85,7 @@ def share_over(drive: Drive, name: str, threshold: float) -> float:
 def _titles(drive: Drive) -> list[str]:
     """What smoothing keeps, and what the forward pass alone would do."""
     threshold = _threshold(drive)
-    name = "tilt" if drive.relative or _asked(drive) == ("tilt",) else "heading"
+    name = "tilt" if (drive.relative and drive.tilts) or _asked(drive) == ("tilt",) else "heading"
     share = share_over(drive, _asked(drive)[0] if len(_asked(drive)) == 1 else name, threshold)
     most = _most(drive, name)
     if most == 0.0:

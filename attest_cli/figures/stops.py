@@ -115,13 +115,15 @@ def _thresholds(panel: Panel, drive: Drive, *, named: bool = False) -> None:
 
 
 def _marginal(page: Page, drive: Drive, panel: Panel, statistic: Array) -> None:
-    """How often stop and motion show each value, sharing the axis of the statistic; each to its own height."""
+    """For how long stop and motion show each value, sharing the axis of the statistic; each to its own height."""
     side = page.panel((6.64, panel.top, 0.42, panel.height), (0.0, 1.0), panel.y_limits, log=True)
     edges = np.geomspace(*panel.y_limits, 61)
     known = statistic > 0.0
+    step = np.where(drive.breaks, 0.0, np.diff(drive.t, append=drive.t[-1:]))
     for moving, colour, name in ((True, "band", "motion"), (False, "stop", "stop")):
-        values = statistic[known & (drive.moving == moving)]
-        counts = np.histogram(values, bins=edges)[0].astype(np.float64)
+        rows = known & (drive.moving == moving)
+        values = statistic[rows]
+        counts = np.histogram(values, bins=edges, weights=step[rows])[0]
         if not counts.max(initial=0.0) > 0.0:
             continue
         share = np.concatenate(([0.0], np.repeat(counts / counts.max(), 2), [0.0]))

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Protocol
 
 from ..nodes.noise import Noise
-from ..records import FilterRun, Log, Segmentation, Warn, World
+from ..records import FilterRun, Log, Segmentation, Shown, Warn, World
 from ..settings import Settings
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ FILTERS = {
     "heading": "attest_cli.filters.heading:forward",
 }
 """Name -> module and function."""
-AUTO = "indirect"
-"""What ``auto`` stands for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,8 @@ class Forward:
     """A forward pass, the noise it settled on, and what the user should know.
 
     A filter over preintegrated nodes adds them and its start, from which the whole log can be solved again
-    (Gauss-Newton) and full rate be made; one that updates at every sample has none: its nodes are the samples.
+    (Gauss-Newton) and full rate be made; one that updates at every sample has none: its nodes are the samples. What the
+    drive has ``shown`` of its sensors stands in the report.
     """
 
     run: FilterRun
@@ -52,6 +51,7 @@ class Forward:
     nodes: Nodes | None = None
     start: Start | None = None
     warnings: tuple[Warn, ...] = ()
+    shown: tuple[Shown, ...] = ()
 
 
 class Filter(Protocol):
@@ -62,13 +62,8 @@ class Filter(Protocol):
         ...
 
 
-def named(name: str) -> str:
-    """Return the filter that ``name`` stands for."""
-    return AUTO if name == "auto" else name
-
-
 def load(name: str) -> Filter:
     """Return the filter of this name."""
-    module, _, function = FILTERS[named(name)].partition(":")
+    module, _, function = FILTERS[name].partition(":")
     found: Filter = getattr(import_module(module), function)
     return found

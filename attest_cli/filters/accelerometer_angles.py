@@ -33,18 +33,6 @@ def angles(force_b: Array) -> Array:
     return np.stack([np.arctan2(-x, np.hypot(y, z)), np.arctan2(y, z)], axis=1)
 
 
-def two_axis_angles(gravity_xy: Array, gravity: float) -> Array:
-    r"""Return pitch and roll (n, 2), rad, of the components of gravity along x and y (n, 2), m/s^2.
-
-    .. math:: \psi=-\arcsin(g_x/g),\qquad\varphi=\arcsin\frac{g_y}{g\cos\psi}
-
-    The paper's own form, for two accelerometers; arguments are clipped to [-1, 1].
-    """
-    x, y = gravity_xy.T / gravity
-    pitch = -np.arcsin(np.clip(x, -1.0, 1.0))
-    return np.stack([pitch, np.arcsin(np.clip(y / np.cos(pitch), -1.0, 1.0))], axis=1)
-
-
 def components(pitch_roll: Array, gravity: float) -> Array:
     r"""Return the components of gravity :math:`(-g\sin\psi,\ g\cos\psi\sin\varphi)` (n, 2), m/s^2."""
     pitch, roll = pitch_roll.T

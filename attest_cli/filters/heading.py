@@ -1,4 +1,4 @@
-r"""Heading from one gyro axis and a model of its bias (Barshan & Durrant-Whyte, ICRA 1994).
+r"""Heading from one gyro axis and a model of its bias (Barshan & Durrant-Whyte, IROS 1994).
 
 Symbols: heading :math:`\Phi` with three derivatives, integrated bias :math:`\epsilon_\Phi`, bias
 :math:`\epsilon_{\dot\Phi}` with :math:`\dot\epsilon_{\dot\Phi}=(C_1+C_2-\epsilon_{\dot\Phi})/T+w`. Two forms: the
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import AttestError
 from ..maths import rotation, sequential
 from ..maths.kalman import Errors, symmetric
 from ..maths.sequential import Pass
@@ -20,9 +21,9 @@ from ..nodes.noise import SCALE_CORRELATION_S
 from ..records import Array, FilterRun, Smoothed, Warn
 from . import Drive, Forward
 from .level import DATUM, upright
-from .samples import Samples, innovations, samples
+from .samples import Samples, innovations, samples, untold
 
-STEEP_RAD = np.radians(5.0)
+STEEP_RAD, STEEPEST_RAD = np.radians(5.0), np.radians(20.0)  # lean, rms, that is told, and at which it refuses
 LEAST_BIAS_RAD_S = 1e-6  # of a bias that its model knows: the model's own error is told by its ramps
 PROOF = 1.92  # log likelihood ratio of 95 % for one parameter
 MOST_RAISE = 1e3
@@ -192,7 +193,13 @@ class Solved:
 
 
 def forward(drive: Drive) -> Forward:
-    """Estimate the heading, relative to the start, of a vehicle that counts as level."""
+    """Estimate the heading, relative to the start, of a vehicle that counts as level.
+
+    Raises
+    ------
+    AttestError
+        If it leans by more than 20 degrees rms: rates about the other axes would be its heading.
+    """
     s, cfg, stops = samples(drive), drive.settings.heading, drive.segmentation.stops
     axis = _axis(drive, s)
     rate = drive.log.imu.gyro_b @ axis.up_b
@@ -210,7 +217,7 @@ def forward(drive: Drive) -> Forward:
     run_ = FilterRun(
         s.t, first.q, first.bias, chain, None, seen, ~s.still, "relative", bool(moving), read, ABSENT
     )  # fmt: skip
-    return Forward(run_, drive.noise, warnings=(*told, *axis.warnings))
+    return Forward(run_, drive.noise, warnings=(*told, *axis.warnings, *untold(drive)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,14 +243,18 @@ def _axis(drive: Drive, s: Samples) -> Axis:
     up_b /= np.linalg.norm(up_b)
     per = max(1, round(BLOCK_S / float(np.median(s.dt))))
     blocks = force[: len(force) // per * per].reshape(-1, per, 3).mean(axis=1) if len(force) >= per else force
-    leaning = float(np.sqrt(0.5 * np.mean(np.sum(np.cross(blocks, up_b) ** 2, axis=1))))
-    tilt = math.hypot(leaning, drive.settings.imu.accel_bias_sigma / drive.world.gravity)
+    along = blocks @ up_b / np.maximum(np.linalg.norm(blocks, axis=1), 1e-9)
+    leaning = float(np.sqrt(np.mean(np.arccos(np.clip(along, -1.0, 1.0)) ** 2)))
+    if leaning > STEEPEST_RAD:
+        message = f"{drive.log.sources[0].name}: leans by {np.degrees(leaning):.0f} deg rms, which is not level"
+        raise AttestError(f"{message} as --filter heading takes it", "use --filter indirect")
+    tilt = math.hypot(math.sqrt(0.5) * leaning, drive.settings.imu.accel_bias_sigma / drive.world.gravity)
     rate = 0.5 * (s.rate_b[1:] + s.rate_b[:-1])
     across = rate - np.outer(rate @ up_b, up_b)
     density = s.density + 2.0 * SCALE_CORRELATION_S * tilt**2 * np.sum(across**2, axis=1)
     told: tuple[Warn, ...] = ()
-    if tilt > STEEP_RAD:
-        message = f"the heading filter takes the vehicle as level, but it leans by {np.degrees(tilt):.0f} deg rms"
+    if leaning > STEEP_RAD:
+        message = f"the heading filter takes the vehicle as level, but it leans by {np.degrees(leaning):.0f} deg rms"
         told = (Warn("not-level", message, "use --filter indirect"),)
     change = np.diff(drive.log.imu.gyro_b @ up_b)[s.still[1:] & s.still[:-1]]
     shaking = 0.5 * float(np.mean(change**2)) if change.size else 0.0  # an engine that runs at the stops
@@ -299,36 +310,47 @@ def walk_of_stops(means: Array, times: Array, variances: Array, stated: float) -
     return float(walks[best]) if likelihood[best] - likelihood[0] > PROOF else stated
 
 
-def _start(drive: Drive, s: Samples, rate: Array, model: BiasModel) -> tuple[float, float, bool]:
-    """Return the bias at the first sample, its sigma, and whether it was measured: at a stop with which the log starts.
+def _start(drive: Drive, s: Samples, rate: Array, model: BiasModel) -> tuple[float, float, float]:
+    """Return the bias at the first sample, its sigma but for an error of C2, and the weight of C2 in it.
 
-    Else it is the model's, as if the gyro had been switched on then.
+    The model's, as if the gyro had been switched on then, and what a stop measured with which the log starts, each by
+    its inverse variance.
     """
-    stops = drive.segmentation.stops
+    stops, stated = drive.segmentation.stops, math.isfinite(model.time_constant)
     if not stops or stops[0].motion or stops[0].start > s.t[0] + 1.0:
-        stated = math.isfinite(model.time_constant)
-        return model.c2, LEAST_BIAS_RAD_S if stated else drive.settings.imu.gyro_bias_sigma, False
+        return model.c2, LEAST_BIAS_RAD_S if stated else drive.settings.imu.gyro_bias_sigma, 1.0
     inside = (s.t >= stops[0].used_start) & (s.t <= stops[0].used_end)
     span = max(stops[0].used_end - stops[0].used_start, 1e-3)
     settled, age = model.c1 + model.c2, 0.5 * (stops[0].used_start + stops[0].used_end) - s.t[0]
     first = settled + (float(rate[inside].mean()) - settled) * math.exp(age / model.time_constant)
-    return first, math.sqrt(drive.noise.n_r / span + model.walk**2 * (age + span)), True
+    variance = drive.noise.n_r / span + model.walk**2 * (age + span)
+    if not stated:
+        return first, math.sqrt(variance), 0.0
+    weight = variance / (variance + _prior(drive, model) ** 2)
+    return first + weight * (model.c2 - first), max((1.0 - weight) * math.sqrt(variance), LEAST_BIAS_RAD_S), weight
 
 
-def parameter_ramps(t: Array, model: BiasModel, share: float, start: tuple[float, float, bool]) -> Array:
+def _prior(drive: Drive, model: BiasModel) -> float:
+    """Return how well the bias at the first sample is known beforehand, rad/s."""
+    if not math.isfinite(model.time_constant):
+        return drive.settings.imu.gyro_bias_sigma
+    return max(drive.settings.heading.parameter_sigma * abs(model.c2), LEAST_BIAS_RAD_S)
+
+
+def parameter_ramps(t: Array, model: BiasModel, share: float, start: tuple[float, float, float]) -> Array:
     r"""Return what errors of C1 and C2 make of the heading (n, 2), 1 sigma, rad, ``t`` (n,) s after the start.
 
-    :math:`C_1\,a,\ C_2\,(a\text{ or }t)` with :math:`a=t-T(1-e^{-t/T})`: where the bias was measured at the start, an
-    error of C2 shows only in where the bias settles.
+    :math:`C_1\,a,\ C_2\,(a+w(t-a))` with :math:`a=t-T(1-e^{-t/T})` and the weight w of C2 in the bias at the start: as
+    far as that was measured, an error of C2 shows only in where the bias settles.
     """
     if not math.isfinite(model.time_constant):
         return np.zeros((len(t), 1))
     grown = t + model.time_constant * np.expm1(-t / model.time_constant)
-    return share * np.stack([model.c1 * grown, model.c2 * (grown if start[2] else t)], axis=1)
+    return share * np.stack([model.c1 * grown, model.c2 * (grown + start[2] * (t - grown))], axis=1)
 
 
 def _six_state(
-    drive: Drive, s: Samples, rate: Array, axis: Axis, model: BiasModel, start: tuple[float, float, bool]
+    drive: Drive, s: Samples, rate: Array, axis: Axis, model: BiasModel, start: tuple[float, float, float]
 ) -> Solved:
     """Run the paper's filter on the rate.
 
@@ -350,7 +372,7 @@ def _six_state(
 
 
 def _indirect(
-    drive: Drive, s: Samples, rate: Array, axis: Axis, model: BiasModel, start: tuple[float, float, bool]
+    drive: Drive, s: Samples, rate: Array, axis: Axis, model: BiasModel, start: tuple[float, float, float]
 ) -> Solved:
     """Integrate the gyro in motion and let it show its bias at the stops, where the heading stands still."""
     held = s.still[1:] & s.still[:-1]
@@ -364,7 +386,7 @@ def _indirect(
     system.Q[s.gap, 0, 0] = np.pi**2 / 3
     z = np.where(s.still, rate, np.nan)[:, None]
     R = np.full((len(s.t), 1, 1), axis.spread)
-    prior = math.hypot(drive.settings.imu.gyro_bias_sigma, drive.settings.heading.parameter_sigma * model.c2)
-    P0 = np.diag([DATUM**2, (prior if len(drive.segmentation.stops) else start[1]) ** 2])
+    prior = _prior(drive, model) if drive.segmentation.stops else start[1]
+    P0 = np.diag([DATUM**2, prior**2])
     found = run(system, z, np.array([[0.0, 1.0]]), R, np.array([0.0, model.c2]), P0)
     return Solved(found, 0, -1.0, counted, "zero_rate")

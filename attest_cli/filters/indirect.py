@@ -14,7 +14,7 @@ import numpy as np
 from ..maths import rotation
 from ..maths.consistency import upper_quantile
 from ..maths.kalman import Chain, Update, iterated_update
-from ..nodes import NO_EPOCHS, Nodes, build_nodes
+from ..nodes import Nodes, build_nodes
 from ..nodes.observations import observe
 from ..records import Array, FilterRun, Innovations, Warn
 from ..sensors import Measurement
@@ -28,9 +28,9 @@ UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at a
 SURE = 1e-4  # chance of a misfit taken as proof
 
 
-def forward(drive: Drive, epochs: Array = NO_EPOCHS) -> Forward:
-    """Put the drive on nodes (``epochs`` are nodes too), align, and run forward with a gyro noise that the stops do not
-    contradict.
+def forward(drive: Drive, epochs: Array | None = None) -> Forward:
+    """Put the drive on nodes (``epochs`` are nodes too; None: coarser ones will do), align, and run forward with a gyro
+    noise that the stops do not contradict.
     """
     log, segmentation, settings, noise = drive.log, drive.segmentation, drive.settings, drive.noise
     observations, warnings = observe(log, segmentation, drive.world, noise, settings)

@@ -33,7 +33,7 @@ from .rule_choice import (
     rules_to_try,
     vertical,
 )
-from .samples import Samples, samples
+from .samples import Samples, samples, untold
 from .vertical import NO_RESTS, Method, Rests, Turns, Weigh, observe, up
 
 START_RAD = 1.0  # how little is known of the vertical before the first sample
@@ -158,7 +158,7 @@ def _forward(drive: Drive, method: Method) -> Forward:
     absent = ("heading",) if cfg.gyro_bias else ("heading", "gyro bias")
     raised = replace(noise, gyro_density=noise.gyro_density * float(np.sqrt(choice.gyro)))
     run = run_of(level, found, _slow_innovations(problem, carried, found, choice.span), absent)
-    return Forward(run, raised, warnings=_warnings(choice))
+    return Forward(run, raised, warnings=(*_warnings(choice), *untold(drive)))
 
 
 def _warnings(choice: Choice) -> tuple[Warn, ...]:

@@ -12,7 +12,7 @@ from ..maths.sequential import Pass
 from ..nodes import mean_rate
 from ..nodes.noise import motion_density, reference_bias
 from ..nodes.observations import at_stop
-from ..records import Array, Bools, Innovations
+from ..records import Array, Bools, Innovations, Warn
 from . import Drive
 
 JOINED = 1.5  # steps longer than this times the one before do not share a coning term
@@ -37,6 +37,14 @@ class Samples:
     still: Bools
     gap: Bools
     density: Array
+
+
+def untold(drive: Drive) -> tuple[Warn, ...]:
+    """Say which settings mean nothing to a filter without sensors that tell directions."""
+    cfg = drive.settings.smoothing
+    if cfg.absolute == "auto":
+        return ()
+    return (Warn("no-absolute", f"--absolute has no meaning with --filter {cfg.filter}: not used"),)
 
 
 def rotation_vectors(alpha: Array, joined: Bools) -> Array:

@@ -21,7 +21,7 @@ from ..segment.stillness import gap_edges
 from . import Drive, Forward
 from . import accelerometer_angles as accelerometer
 from .level import Level, run_of, upright
-from .samples import Samples, innovations, samples
+from .samples import Samples, innovations, samples, untold
 
 START_RAD = np.radians(10.0)  # tilt at the first sample, 1 sigma: a vehicle that may accelerate
 GAP_RAD = 0.5  # how far it may tilt over a hole in the log
@@ -208,9 +208,19 @@ def forward(drive: Drive) -> Forward:
         raise AttestError(f"{name}: pitch passes 80 deg, where tilt-ekf has no roll", "use --filter pseudo-linear")
     tilt = 0.0 if seen.compensated else drive.settings.imu.accel_bias_sigma / drive.world.gravity
     level = Level(own, found.x, lambda x: _up(x, R_lb), np.zeros((3, STATES)), _held(s), tilt)
-    counted = replace(found, nu=np.where(found_from.used[:, None], found.nu, np.nan))
-    run = run_of(level, found, innovations(s.t, counted, {"gravity": slice(0, 2)}), ABSENT)
-    return Forward(run, drive.noise, warnings=told)
+    run = run_of(level, found, innovations(s.t, _judged(found_from, found), {"accelerometer": slice(0, 2)}), ABSENT)
+    known = np.diag(np.append(np.zeros(6), 1.0 / P0.diagonal()[6:]))
+    return Forward(replace(run, beforehand=(known, -found.x @ known)), drive.noise, warnings=(*told, *untold(drive)))
+
+
+def _judged(model: Model, found: Pass) -> Pass:
+    """Return the pass with innovations as one sample of the accelerometer scatters: by ``spread``.
+
+    The filter counts with the density of the vibration, which its sum over time has; a sample alone has more.
+    """
+    S = found.S.copy()
+    S[:, [0, 1], [0, 1]] += model.spread[:, None] - model.R[:, :2]
+    return replace(found, nu=np.where(model.used[:, None], found.nu, np.nan), S=S)
 
 
 def _held(s: Samples) -> Bools:
@@ -278,6 +288,7 @@ def _gravity(drive: Drive, s: Samples, every: int, *, as_mounted: bool) -> tuple
             if helped.density <= alone.density:
                 return helped, ()
             why = "the odometry would add more noise than it takes out"
+            hint = f"its speed, {1.0 / float(np.median(np.diff(wheels.t))):.4g} Hz, is too rough for an acceleration"
         else:
             why, hint = "the IMU's forward axis is not known, so the odometry cannot help", "give [imu] mounting"
     if not drive.segmentation.motions:

@@ -7,11 +7,19 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Status = Literal["PASS", "WARN", "FAIL"]
+BAND = 1e-4  # two-sided probability outside which a mean NIS is not chance
+SLIGHT = 1.25  # a mean NIS this far beyond its band is sure, but of no consequence
+FAR_OFF = 4.0  # mean NIS over its degrees of freedom: sigma cannot be trusted
+MANY_REJECTED, MOST_REJECTED = 0.01, 0.5
+FEW = 5  # measurements of a sensor that say little about its noise
+MOST_DEGREES = 4000  # from there on the band of the mean is far narrower than what is slight
 
 
 def density(x: Array, dof: int) -> Array:
@@ -50,3 +58,24 @@ def upper_quantile(dof: int, probability: float) -> float:
             break
         low, high = (middle, high) if survival(middle, dof) > probability else (low, middle)
     return 0.5 * (low + high)
+
+
+def mean_nis(mean: float, used: int, dof: int) -> Literal["smaller", "fits", "larger"]:
+    """Return whether a mean NIS of ``used`` measurements of ``dof`` degrees of freedom is what their noise claims."""
+    degrees = max(1, min(used * dof, MOST_DEGREES))
+    low, high = (upper_quantile(degrees, p) * dof / degrees for p in (1.0 - 0.5 * BAND, 0.5 * BAND))
+    return "smaller" if mean < low / SLIGHT else "larger" if mean > high * SLIGHT else "fits"
+
+
+def noise_status(mean: float, used: int, dof: int) -> Status:
+    """Return the verdict on a mean NIS: noise claimed too large only makes sigma careful."""
+    if used < FEW or mean_nis(mean, used, dof) != "larger":
+        return "PASS"
+    return "FAIL" if mean > FAR_OFF * dof else "WARN"
+
+
+def rejection_status(rejected: int, count: int) -> Status:
+    """Return the verdict on how many measurements of a sensor were rejected."""
+    if rejected > MOST_REJECTED * count and count >= FEW:
+        return "FAIL"
+    return "WARN" if rejected > MANY_REJECTED * count else "PASS"

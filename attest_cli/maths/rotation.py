@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,29 @@ Array = NDArray[np.float64]
 
 ROUNDING = 1e-17
 SMALL = 0.3  # rad: below it the closed forms lose digits and their series are exact to rounding
+
+
+ROWS = 8192  # rows handled together: what is made on the way stays in cache
+
+
+def in_cache(function: Callable[..., Array]) -> Callable[..., Array]:
+    """Run a function of rows ``(n, k)`` over a few thousand of them at a time: twice as fast on long arrays."""
+
+    @wraps(function)
+    def run(*arrays: Array) -> Array:
+        n = max((len(a) for a in arrays if a.ndim == 2), default=0)
+        if n <= ROWS or any(a.ndim > 2 for a in arrays):
+            return function(*arrays)
+        whole = [len(a) != n for a in arrays]  # broadcast over the rows
+        out = None
+        for lo in range(0, n, ROWS):
+            part = function(*(a if w else a[lo : lo + ROWS] for a, w in zip(arrays, whole, strict=True)))
+            out = np.empty((n, *part.shape[1:])) if out is None else out
+            out[lo : lo + ROWS] = part
+        assert out is not None
+        return out
+
+    return run
 
 
 def series(x2: Array, first: float, ratios: tuple[tuple[int, int], ...]) -> Array:
@@ -67,6 +91,7 @@ def skew(v: Array) -> Array:
     return m
 
 
+@in_cache
 def exp_quaternion(v: Array) -> Array:
     """Return the unit quaternion (..., 4) of the rotation vector ``v`` (..., 3), rad."""
     x2 = 0.25 * np.einsum("...i,...i->...", v, v)
@@ -81,6 +106,7 @@ def exp_quaternion(v: Array) -> Array:
     return q
 
 
+@in_cache
 def log_quaternion(q: Array) -> Array:
     """Return the rotation vector (..., 3), norm at most pi, of the unit quaternion ``q`` (..., 4)."""
     q = np.where(q[..., :1] < 0.0, -q, q)
@@ -90,6 +116,7 @@ def log_quaternion(q: Array) -> Array:
     return factor[..., None] * q[..., 1:]
 
 
+@in_cache
 def multiply(p: Array, q: Array) -> Array:
     """Return the Hamilton product ``p q``: ``R(p q) = R(p) R(q)``."""
     pw, px, py, pz = (p[..., i] for i in range(4))
@@ -107,11 +134,13 @@ def conjugate(q: Array) -> Array:
     return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
+@in_cache
 def normalise(q: Array) -> Array:
     """Return ``q / |q|``."""
-    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
+    return np.asarray(q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None])
 
 
+@in_cache
 def matrix(q: Array) -> Array:
     """Return ``R`` (..., 3, 3) of the unit quaternion ``q`` (..., 4): ``v_n = R @ v_b`` for ``q_nb``."""
     w, x, y, z = np.moveaxis(q, -1, 0)
@@ -125,6 +154,7 @@ def matrix(q: Array) -> Array:
     return m
 
 
+@in_cache
 def rotate(q: Array, v: Array) -> Array:
     """Return ``R(q) v`` (..., 3) without making the matrices: ``v + 2 w (u x v) + 2 u x (u x v)``."""
     u = q[..., 1:]
@@ -132,6 +162,7 @@ def rotate(q: Array, v: Array) -> Array:
     return np.asarray(v + q[..., :1] * twice + cross(u, twice))
 
 
+@in_cache
 def cross(a: Array, b: Array) -> Array:
     """Return the cross product (..., 3); several times faster than ``numpy.cross`` on long arrays."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
@@ -243,12 +274,13 @@ def continuous(q: Array) -> Array:
     """Return the quaternions (n, 4) with signs chosen so that neighbours have a positive scalar product; the first
     has w >= 0.
     """
-    flips = np.sign(np.sum(q[1:] * q[:-1], axis=1))
+    flips = np.sign(np.einsum("ki,ki->k", q[1:], q[:-1]))
     flips[flips == 0.0] = 1.0
     start = 1.0 if q[0, 0] >= 0.0 else -1.0
     return q * (start * np.concatenate([[1.0], np.cumprod(flips)]))[:, None]
 
 
+@in_cache
 def roll_pitch_yaw(q: Array) -> Array:
     """Return fixed-axis x-y-z angles (..., 3), rad (REP-103): ``R = Rz(yaw) Ry(pitch) Rx(roll)``."""
     w, x, y, z = np.moveaxis(q, -1, 0)

@@ -25,10 +25,12 @@ FROZEN_DENSITY = 1e-7  # rad/sqrt(s): keeps the covariance of a frozen attitude 
 SAME_TIME_S = 1e-6
 MERGED_S = 1e-4  # nodes nearer than this are one: an interval without noise has no inverse
 RATE_WINDOW_S = 1.0  # the rate that a scale error acts on is its mean over this
-NO_EPOCHS = np.zeros(0)
+LONG_FACTOR = 5.0  # nodes of long motions in long logs may be so many times further apart
+PAGE_NODES = 7200  # but a log has at least so many in equal steps: more than a page has columns
+NEARNESS = 20.0  # and the step is at most the time to the nearest edge or measurement over this
 GAP_MARGIN = 2.0  # a hole is as lively as the drive, twice over
 
-__all__ = ["NO_EPOCHS", "Nodes", "build_nodes"]
+__all__ = ["Nodes", "build_nodes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +83,20 @@ class Nodes:
 
 def build_nodes(
     log: Log, segmentation: Segmentation, observations: list[Observation], noise: Noise, settings: Settings,
-    epochs: Array = NO_EPOCHS,
+    epochs: Array | None = None,
 ) -> Nodes:  # fmt: skip
     """Place the nodes, preintegrate the IMU between them and hand each node its measurements; ``epochs`` (k,) s are
-    nodes too.
+    nodes too. Without them nothing but attitude and bias runs over the nodes, which may be coarser in long motions.
     """
     imu = log.imu
     stops = [(s.used_start, s.used_end) for s in segmentation.stops]
     gaps = [(float(a), float(b)) for a, b in log.gaps]
     frozen_stops = stops if settings.smoothing.zero_rate else []
-    t = _grid(
-        imu.t,
-        stops,
-        frozen_stops,
-        gaps,
-        np.array([*(o.t for o in observations), *epochs]),
-        settings.smoothing.node_spacing_s,
-    )
+    must, spacing = np.array([o.t for o in observations]), settings.smoothing.node_spacing_s
+    coarsest = float(np.clip((imu.t[-1] - imu.t[0]) / PAGE_NODES, spacing, LONG_FACTOR * spacing))
+    if epochs is not None:
+        must, coarsest = np.concatenate([must, epochs]), spacing
+    t = _grid(imu.t, stops, frozen_stops, gaps, must, spacing, coarsest)
     middle = 0.5 * (t[1:] + t[:-1])
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
     steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
@@ -131,9 +130,11 @@ def _assign(
 
 def _grid(
     t: Array, stops: list[tuple[float, float]], frozen: list[tuple[float, float]], gaps: list[tuple[float, float]],
-    epochs: Array, spacing: float,
+    epochs: Array, spacing: float, coarsest: float = 0.0,
 ) -> Array:  # fmt: skip
-    """Return node times: ends, edges of stops and gaps, epochs, and between them at most the spacing."""
+    """Return node times: ends, edges of stops and gaps, epochs, and between them at most the spacing, or in the middle
+    of a motion ``coarsest``.
+    """
     edges = [e for pair in (*stops, *gaps) for e in pair]
     must = np.unique(np.clip(np.concatenate([[t[0], t[-1]], edges, epochs]), t[0], t[-1]))
     must = must[np.concatenate([[True], np.diff(must) > MERGED_S])]
@@ -141,11 +142,33 @@ def _grid(
         return np.asarray(must)
     must[-1] = t[-1]
     middle, width = 0.5 * (must[1:] + must[:-1]), np.diff(must)
-    step = np.where(_inside(middle, frozen), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, spacing))
-    parts = np.maximum(1, np.ceil(width / step - 1e-9)).astype(np.int64)
+    still = np.where(_inside(middle, frozen), STOP_NODE_S, np.where(_inside(middle, gaps), np.inf, 0.0))
+    coarsest = max(coarsest, spacing)
+    moving = 2.0 * _steps_within(0.5 * width, spacing, coarsest)
+    many = np.maximum(np.where(still > 0.0, width / np.maximum(still, spacing), moving), 1e-6)  # a gap is one step
+    parts = np.ceil(many - 1e-9).astype(np.int64)
     owner = np.repeat(np.arange(len(parts)), parts)
-    k = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
-    return np.append(must[owner] + width[owner] * k / parts[owner], must[-1])
+    share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[owner]
+    near = many[owner] * np.minimum(share, 1.0 - share)  # steps to the nearer edge
+    reach = _reach(near, spacing, coarsest) / _reach(0.5 * many[owner], spacing, coarsest)
+    graded = 0.5 * np.where(share <= 0.5, reach, 2.0 - reach)
+    return np.append(must[owner] + width[owner] * np.where(still[owner] > 0.0, share, graded), must[-1])
+
+
+def _steps_within(d: Array, fine: float, coarse: float) -> Array:
+    r"""Return how many steps lie within ``d`` of an edge, where the step at ``d`` is :math:`d/N` between fine and
+    coarse.
+    """
+    first, last = NEARNESS * fine, NEARNESS * coarse
+    grown = NEARNESS * np.log(np.clip(d, first, last) / first)
+    return np.asarray(np.minimum(d, first) / fine + grown + np.maximum(d - last, 0.0) / coarse)
+
+
+def _reach(steps: Array, fine: float, coarse: float) -> Array:
+    """Return how far so many steps reach: the inverse of ``_steps_within``."""
+    grown = np.clip(steps - NEARNESS, 0.0, NEARNESS * np.log(coarse / fine))
+    beyond = np.maximum(steps - NEARNESS - NEARNESS * np.log(coarse / fine), 0.0)
+    return np.asarray(np.minimum(steps, NEARNESS) * fine * np.exp(grown / NEARNESS) + beyond * coarse)
 
 
 def _inside(t: Array, intervals: list[tuple[float, float]]) -> Bools:
@@ -161,11 +184,15 @@ def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
     """Merge samples and nodes into one grid; rates are linear between samples (``point``) or held over them
     (``interval``).
     """
-    grid = np.unique(np.concatenate([imu.t, t]))
-    sample = np.searchsorted(grid, imu.t)
+    n, at = len(imu.t), np.searchsorted(imu.t, t)
+    new = imu.t[np.minimum(at, n - 1)] != t
+    grid = np.insert(imu.t, at[new], t[new])
+    sample = np.arange(n) + np.cumsum(np.bincount(at[new], minlength=n + 1))[:n]
     first = np.searchsorted(grid, t)
     if rule == "point":
-        rate = np.stack([np.interp(grid, imu.t, imu.gyro_b[:, i]) for i in range(3)], axis=1)
+        rate = np.empty((len(grid), 3))
+        rate[sample] = imu.gyro_b
+        rate[first[new]] = np.stack([np.interp(t[new], imu.t, imu.gyro_b[:, i]) for i in range(3)], axis=1)
         rate0, rate1 = rate[:-1].copy(), rate[1:].copy()
     else:
         rate0 = imu.gyro_b[np.searchsorted(imu.t, grid[1:], side="left")].copy()
@@ -177,9 +204,8 @@ def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
 
 def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, density: Array, noise: Noise) -> Increments:
     """Preintegrate; freeze the attitude at stops and let it go in gaps."""
-    inc = preintegrate(steps, bias, density, noise.n_w)
-    eye = np.eye(3)
-    held = frozen | gap
+    held, eye = frozen | gap, np.eye(3)
+    inc = preintegrate(steps, bias, density, noise.n_w, held)
     inc.dq[held] = [1.0, 0.0, 0.0, 0.0]
     inc.psi[held] = 0.0
     inc.Phi[held] = np.eye(6)

@@ -120,7 +120,7 @@ def _noise(file: CalibrationFile, same: bool, thermometer: bool) -> dict[str, fl
     """Return densities that stand for all axes; what the record did not know is left to the drive's own stops."""
     gyro, accel = [axis.noise for axis in file.axes], file.accelerometer
     out = {}
-    if all(math.isfinite(n.random_walk_95[1]) for n in gyro):
+    if all(axis.knows_walk for axis in file.axes):
         out["gyro_random_walk"] = rms(_walk(axis, same, thermometer) for axis in file.axes)
     for name, noise in (("gyro", gyro), ("accel", [] if accel is None else [accel.x, accel.y, accel.z])):
         if noise and all(n.noise_density_95[1] < KNOWN * n.noise_density for n in noise):
@@ -134,8 +134,7 @@ def _walk(axis: GyroAxis, same: bool, thermometer: bool) -> float:
     A curve explains this drive; on another day its warm-up need not come back, and the bias moves as it did without it.
     Temperature explains any day that has it.
     """
-    explained = thermometer if axis.bias.model == "temperature" else same
-    return axis.bias.walk_beside if explained else max(axis.bias.walk_beside, axis.bias.walk_alone)
+    return axis.walk(explained=thermometer if axis.bias.model == "temperature" else same)
 
 
 def _sigmas(file: CalibrationFile, gyro_bias: float, same: bool, gravity: float) -> dict[str, float]:

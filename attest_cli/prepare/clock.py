@@ -55,7 +55,7 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
         late = f"{np.count_nonzero(back)} rows out of order, by {back[worst] * 1e-9:.3f} s at most"
         warnings.append(Warn("rows-out-of-order", f"{name}: {late}: sorted"))
     _refuse_coarse(name, stamps_ns[rows])
-    rows = rows[_not_repeated(stamps_ns[rows], values[rows])]
+    rows = rows[_not_repeated(stamps_ns, values, rows)]
     if rows.size < stamps_ns.size:
         message = f"{name}: {stamps_ns.size - rows.size} rows repeat stamp and values of another: dropped"
         warnings.append(Warn("duplicate-rows", message))
@@ -97,14 +97,14 @@ def _refuse_coarse(name: str, stamps_ns: Ints) -> None:
         raise AttestError(message, "write stamps as int64 ns, or seconds with all their digits (float32 has too few)")
 
 
-def _not_repeated(stamps_ns: Ints, values: Array) -> Bools:
-    """Tell the rows that differ from all others of the same stamp (in stamp order)."""
-    keep = np.ones(stamps_ns.size, dtype=bool)
-    shared = np.flatnonzero(np.diff(stamps_ns) == 0)
+def _not_repeated(stamps_ns: Ints, values: Array, rows: Ints) -> Bools:
+    """Tell which of the ``rows``, in stamp order, differ from all others of the same stamp."""
+    keep, stamps = np.ones(rows.size, dtype=bool), stamps_ns[rows]
+    shared = np.flatnonzero(np.diff(stamps) == 0)
     for row in shared + 1:
         other = row - 1
-        while other >= 0 and stamps_ns[other] == stamps_ns[row]:
-            if keep[other] and np.array_equal(values[other], values[row], equal_nan=True):
+        while other >= 0 and stamps[other] == stamps[row]:
+            if keep[other] and np.array_equal(values[rows[other]], values[rows[row]], equal_nan=True):
                 keep[row] = False
                 break
             other -= 1

@@ -123,9 +123,13 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
         counts = ", ".join(f"{name} {n}" for name, n in zip(names, np.sum(~finite, axis=0), strict=True) if n)
         message = f"{files}: {lost} of {good.size} rows of {channel.name} dropped, not finite: {counts}"
         warnings.append(Warn("imu-not-finite", message))
-    ordered = in_order(f"{files}: {channel.name}", stamps_ns[good], values[good], t0_ns)
+    if lost:
+        stamps_ns, values = stamps_ns[good], values[good]
+    ordered = in_order(f"{files}: {channel.name}", stamps_ns, values, t0_ns)
     warnings.extend(ordered.warnings)
-    return _Rows(channel, ordered.stamps_ns, values[good][ordered.rows], good.size)
+    if not np.array_equal(ordered.rows, np.arange(len(values))):
+        values = values[ordered.rows]
+    return _Rows(channel, ordered.stamps_ns, values, good.size)
 
 
 def _window(stamps_ns: Ints, t0_ns: int, settings: Settings) -> tuple[int, int]:

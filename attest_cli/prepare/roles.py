@@ -80,6 +80,20 @@ def joined(recordings: Sequence[Recording]) -> list[Channel]:
     return found
 
 
+def with_named(recordings: Sequence[Recording], settings: Settings) -> list[Channel]:
+    """Return all channels, joined, with the role that settings give them; a channel is there once per role.
+
+    Raises
+    ------
+    AttestError
+        If a named channel does not exist or cannot play its role.
+    """
+    found = joined(recordings)
+    named = _named(found, recordings, settings)
+    changed = {channel.name for channel in named.values()}
+    return [*named.values(), *(channel for channel in found if channel.name not in changed)]
+
+
 def _concatenated(parts: list[Channel]) -> Channel:
     if len(parts) == 1:
         return parts[0]

@@ -20,6 +20,20 @@ MAG_UNITS = ("uT", "T", "Gauss", "mGauss", "nT")
 FIELD_T = (1e-5, 1.5e-4)  # fields met on Earth's surface, with the iron of a vehicle
 UNIT_FIELD_T = 5e-5  # what a normalised field is scaled to: its direction is all it holds
 FASTEST_GYRO = 35.0  # rad/s: 2000 deg/s, the widest range of common gyros
+FASTEST_STATED = 70.0  # rad/s: 4000 deg/s, what no common gyro reaches where it is stated
+FASTEST_DEG_S = 6000.0  # what no common gyro reaches: above it values are raw counts
+GYRO_COUNTS = (
+    131.072,
+    65.536,
+    32.768,
+    16.384,
+    8.192,
+    114.286,
+    57.143,
+    28.571,
+    14.286,
+)  # per deg/s: 16 bits of usual ranges
+MOST_GRAVITY = 4.0  # times gravity: above it the steady part has another unit, not another scale
 
 WINDOW_S = 0.5  # over which the specific force is averaged to show gravity
 LARGEST_TURN = 0.5  # rad: above it a window is too long for the comparison
@@ -86,9 +100,13 @@ def accelerometer(channel: Channel, names: Sequence[str], t: Array, gravity: flo
     if still < 0.3 * gravity:
         message = f"channel {channel.name}: no gravity in the accelerometer: its steady part is {still:.2f} m/s^2"
         raise AttestError(message, "record the raw specific force (linear acceleration without gravity shows no tilt)")
-    message = (
-        f"channel {channel.name}: the steady part of the accelerometer is {still:.2f} m/s^2, gravity {gravity:.2f}"
-    )
+    said = f"is {_digits(still / here)} {quantity.stated or '(no unit)'}, gravity is {gravity:.2f} m/s^2"
+    message = f"channel {channel.name}: the steady part of the accelerometer {said}"
+    if still > MOST_GRAVITY * gravity:
+        raise AttestError(
+            f"{message}: raw counts, or another unit?",
+            f"convert counts to g; state a unit in the header{_state(channel)}",
+        )
     warnings.append(Warn("accel-scale", message, "check its unit and calibration"))
     return quantity.values
 
@@ -115,12 +133,50 @@ def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, wa
         warnings.append(
             Warn("gyro-against-accel", message, "check signs and axes; a gyro turns right-handed about its axes")
         )
-    elif not quantity.stated and as_taken < AGREEMENT:
-        fastest = float(np.max(np.abs(quantity.values), initial=0.0))
-        name = "deg/s" if fastest > FASTEST_GYRO else "rad/s"
-        warnings.append(_told(channel, "gyro", "", name, f"its largest value is {_digits(fastest)}"))
-        return quantity.values * unit(name)[0]
+    elif as_taken < AGREEMENT:
+        return _untold(channel, quantity, t, accel, warnings)
     return quantity.values
+
+
+def _untold(channel: Channel, quantity: Quantity, t: Array, accel: Array, warnings: list[Warn]) -> Array:
+    """Return the rates of a gyro whose unit the turning of gravity does not tell: as stated, unless that cannot be.
+
+    Raises
+    ------
+    AttestError
+        If radians and degrees are as likely: beside an accelerometer in g a gyro is often in deg/s, whatever is stated.
+    """
+    stated = quantity.stated
+    in_g = any(_says_g(warning, channel) for warning in warnings)
+    if stated and (stated != SI["gyro"] or not (in_g or np.quantile(np.abs(quantity.values), 0.99) > FASTEST_STATED)):
+        return quantity.values
+    if not stated:
+        _refuse_counts(channel, t, quantity.values, accel)
+    fastest = float(np.max(np.abs(quantity.values), initial=0.0))
+    if in_g and fastest <= FASTEST_GYRO:
+        message = f"channel {channel.name}: rad/s or deg/s? The gyro's largest value is {_digits(fastest)}, beside g"
+        raise AttestError(message, f"state the unit in the header{_state(channel)}")
+    name = "deg/s" if fastest > FASTEST_GYRO else "rad/s"
+    warnings.append(_told(channel, "gyro", stated, name, f"its largest value is {_digits(fastest)}"))
+    return quantity.values * unit(name)[0]
+
+
+def _says_g(warning: Warn, channel: Channel) -> bool:
+    """Tell whether a warning says that the accelerometer beside a gyro was found to be in g."""
+    beside = warning.message.startswith(f"channel {channel.name}: accelerometer") or (
+        channel.role == "gyro" and ": accelerometer" in warning.message
+    )
+    return beside and warning.message.endswith(("taken as g", "taken as mg"))
+
+
+def _refuse_counts(channel: Channel, t: Array, gyro: Array, accel: Array) -> None:
+    """Refuse raw counts of a gyro: faster than any in deg/s, or at a usual scale they agree with gravity's turning."""
+    usual = float(np.quantile(np.abs(gyro), 0.99))
+    agreed, scale = max((turning(t, gyro * (unit("deg/s")[0] / c), accel), c) for c in GYRO_COUNTS)
+    if agreed < AGREEMENT and usual < FASTEST_DEG_S:
+        return
+    fact = f"they agree with {scale:g} per deg/s" if agreed > AGREEMENT else f"{_digits(usual)} is no rate in deg/s"
+    raise AttestError(f"channel {channel.name}: the gyro holds raw counts: {fact}", "convert them to rad/s or deg/s")
 
 
 def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -> Array:
@@ -143,6 +199,7 @@ def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -
     return quantity.values if quantity.stated else quantity.values * 1e-6
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a value of 1e300 is a spike, and falls out later
 def turning(t: Array, gyro: Array, accel: Array) -> float:
     r"""Compare the gyro (rad/s) with the turning of the specific force's direction u.
 
@@ -172,6 +229,7 @@ def turning(t: Array, gyro: Array, accel: Array) -> float:
     return max(explained, 0.0) if explained >= against else -max(against, 0.0)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _steady_norm(t: Array, accel: Array) -> float:
     """Return the median norm of the specific force averaged over windows: vibration averages out, gravity stays."""
     edges = _windows(t)
@@ -194,9 +252,11 @@ def _digits(value: float) -> str:
 def _told(channel: Channel, what: str, stated: str, taken: str, fact: str) -> Warn:
     if stated:
         message = f"channel {channel.name}: {what} stated in {stated}, but {fact}: taken as {taken}"
-        return Warn("unit-contradicted", message, "mend the unit in the header")
-    return Warn(
-        "unit-guessed",
-        f"channel {channel.name}: {what} states no unit, {fact}: taken as {taken}",
-        "state the unit in the header",
-    )
+        return Warn("unit-contradicted", message, f"mend the unit in the header{_state(channel)}")
+    message = f"channel {channel.name}: {what} states no unit, {fact}: taken as {taken}"
+    return Warn("unit-guessed", message, f"state the unit in the header{_state(channel)}")
+
+
+def _state(channel: Channel) -> str:
+    """How a unit is stated for a table without touching it."""
+    return ', or with --columns "OLD=NAME [UNIT]"' if channel.kind == "columns" else ""

@@ -6,11 +6,13 @@ import difflib
 import importlib
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import AttestError
-from ..records import Recording
+from ..records import Recording, Warn
 from ..settings import Settings
+from ..settings.table import Table
 
 READERS: Mapping[str, str] = {
     "csv": "attest_cli.readers.csv_log",
@@ -76,7 +78,7 @@ def read(path: Path, settings: Settings) -> Recording:
     path : Path
         CSV, Parquet or MCAP file.
     settings : Settings
-        Only ``settings.time.source`` matters here: which stamp of a message counts.
+        ``time.source``: which stamp of a message counts; ``table``: how a text log is written.
 
     Returns
     -------
@@ -88,8 +90,13 @@ def read(path: Path, settings: Settings) -> Recording:
     AttestError
         For every fault of the file, in one line.
     """
-    reader = importlib.import_module(READERS[format_of(path)])
+    name = format_of(path)
+    reader = importlib.import_module(READERS[name])
     recording: Recording = reader.read(path, settings)
+    if name != "csv" and settings.table != Table():
+        message = f"{path.name}: no text log: --columns, --time-unit, --sample-rate and [table] do nothing for it"
+        told = Warn("no-text-log", message, "convert it to CSV with attest convert, if its columns need other names")
+        recording = replace(recording, warnings=(*recording.warnings, told))
     return recording
 
 

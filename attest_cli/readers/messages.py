@@ -1,17 +1,16 @@
-"""ROS 2 messages that attest reads: type -> role, canonical columns, units, and how a decoded message becomes a row."""
+"""ROS 2 messages that attest reads: type -> role, the fields used, canonical columns, units, and how one becomes the
+other.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from ..records import COLUMNS, Array, Channel, Ints
+from ..records import COLUMNS, Array, Bools, Channel, Ints
 
-NAN = math.nan
 IGNORED_VARIANCE = 1e5
 """From here on a variance says "do not use" (drivers write 1e6 and more)."""
 
@@ -23,34 +22,39 @@ DIRECTIONS: Mapping[str, tuple[str, ...]] = {
 
 UNITS: Mapping[str, str] = {"sun": "1", "magnetometer": "T", "accel": "m/s^2", "gyro": "rad/s"}
 
-Row = tuple[float, ...]
+
+def unchanged(fields: Array) -> Array:
+    """Take the fields as the columns."""
+    return fields
 
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """How one message type is read: ``row`` gives the values of ``columns`` of one message."""
+    """How one message type is read: ``table`` makes ``columns`` (c, n) of the ``fields`` (k, n) of n messages."""
 
     columns: tuple[str, ...]
     units: tuple[str, ...]
-    row: Callable[[Any], Row]
+    fields: tuple[str, ...]
+    table: Callable[[Array], Array]
     channels: Callable[[str, str, Ints, Mapping[str, Array], Mapping[str, str]], Sequence[Channel]]
 
 
-def _variance(value: float) -> float:
-    """Return a variance that can be used; zero is unknown, -1 not provided (REP-145)."""
-    return value if 0.0 < value < IGNORED_VARIANCE else NAN
+def _sigma(*variances: Array) -> Array:
+    """Return the root of the mean of variances; zero is unknown, -1 not provided (REP-145), huge says "do not use"."""
+    total = np.zeros_like(variances[0])
+    for v in variances:
+        total += np.where((v > 0.0) & (v < IGNORED_VARIANCE), v, np.nan)
+    return np.asarray(np.sqrt(total / len(variances)))
 
 
-def _sigma(covariance: Sequence[float], *places: int) -> float:
-    return math.sqrt(sum(_variance(covariance[k]) for k in places) / len(places))
+def _blank(fields: Array, where: Bools) -> Array:
+    return np.where(where, np.nan, fields)
 
 
-def _imu(message: Any) -> Row:
-    w, a, q = message.angular_velocity, message.linear_acceleration, message.orientation
-    has_w, has_a = message.angular_velocity_covariance[0] != -1, message.linear_acceleration_covariance[0] != -1
-    gyro = (w.x, w.y, w.z) if has_w else (NAN, NAN, NAN)
-    accel = (a.x, a.y, a.z) if has_a else (NAN, NAN, NAN)
-    return (*gyro, *accel, *((q.w, q.x, q.y, q.z) if message.orientation_covariance[0] != -1 else (NAN, NAN, NAN, NAN)))
+def _imu(f: Array) -> Array:
+    """A first variance of -1 says that the reading is not provided."""
+    gyro, accel, q = _blank(f[0:3], f[10] == -1.0), _blank(f[3:6], f[11] == -1.0), _blank(f[6:10], f[12] == -1.0)
+    return np.concatenate([gyro, accel, q])
 
 
 def _imu_channels(
@@ -90,24 +94,20 @@ def _plain(role: str) -> Callable[[str, str, Ints, Mapping[str, Array], Mapping[
     return channels
 
 
-def _magnetic(message: Any) -> Row:
-    field = message.magnetic_field
-    return (field.x, field.y, field.z, _sigma(message.magnetic_field_covariance, 0, 4, 8))
+def _magnetic(f: Array) -> Array:
+    return np.stack([*f[:3], _sigma(*f[3:])])
 
 
-def _fix(message: Any) -> Row:
-    if message.status.status < 0:  # no fix
-        return (NAN, NAN, NAN, NAN, NAN)
-    covariance = message.position_covariance if message.position_covariance_type != 0 else [0.0] * 9
-    sigmas = _sigma(covariance, 0, 4), _sigma(covariance, 8)
-    return (message.latitude, message.longitude, message.altitude, *sigmas)
+def _fix(f: Array) -> Array:
+    """A negative status is no fix; a covariance type of 0 is no covariance."""
+    status, kind, place, variances = f[0], f[1], f[2:5], f[5:8]
+    known = _blank(variances, kind == 0.0)
+    return _blank(np.stack([*place, _sigma(known[0], known[1]), _sigma(known[2])]), status < 0.0)
 
 
-def _odometry(message: Any) -> Row:
-    velocity, covariance = message.twist.twist.linear, message.twist.covariance
-    parts = (velocity.x, velocity.y, velocity.z)
-    used = tuple(NAN if covariance[7 * k] >= IGNORED_VARIANCE else parts[k] for k in range(3))
-    return (*used, *(_sigma(covariance, 7 * k) for k in range(3)))
+def _odometry(f: Array) -> Array:
+    velocity, variances = f[:3], f[3:]
+    return np.stack([*_blank(velocity, variances >= IGNORED_VARIANCE), *map(_sigma, variances)])
 
 
 def _vector_channels(
@@ -123,39 +123,54 @@ def _vector_channels(
     return [Channel(topic, kind, role, stamps_ns, held, dict.fromkeys(names, UNITS.get(role, "")))]
 
 
-_IMU_COLUMNS = (*COLUMNS["imu"], *COLUMNS["orientation"])
+def _of(name: str, *parts: str) -> tuple[str, ...]:
+    return tuple(f"{name}{part}" for part in parts)
+
+
+XYZ = (".x", ".y", ".z")
 _SPEEDS = tuple(f"velocity_sigma_{axis}" for axis in "xyz")
-_GPS_SIGMAS = ("gps_sigma_m", "gps_sigma_up_m")
+_IMU_FIELDS = (
+    *_of("angular_velocity", *XYZ), *_of("linear_acceleration", *XYZ), *_of("orientation", ".w", *XYZ),
+    "angular_velocity_covariance[0]", "linear_acceleration_covariance[0]", "orientation_covariance[0]",
+)  # fmt: skip
+_FIX_FIELDS = (
+    "status.status", "position_covariance_type", "latitude", "longitude", "altitude",
+    *_of("position_covariance", "[0]", "[4]", "[8]"),
+)  # fmt: skip
 
 TYPES: Mapping[str, MessageType] = {
-    "sensor_msgs/msg/Imu": MessageType(_IMU_COLUMNS, ("rad/s",) * 3 + ("m/s^2",) * 3 + ("1",) * 4, _imu, _imu_channels),
+    "sensor_msgs/msg/Imu": MessageType(
+        (*COLUMNS["imu"], *COLUMNS["orientation"]), ("rad/s",) * 3 + ("m/s^2",) * 3 + ("1",) * 4, _IMU_FIELDS, _imu,
+        _imu_channels,
+    ),
     "sensor_msgs/msg/MagneticField": MessageType(
-        (*COLUMNS["magnetometer"], "mag_sigma"), ("T",) * 4, _magnetic, _plain("magnetometer")
+        (*COLUMNS["magnetometer"], "mag_sigma"), ("T",) * 4,
+        (*_of("magnetic_field", *XYZ), *_of("magnetic_field_covariance", "[0]", "[4]", "[8]")), _magnetic,
+        _plain("magnetometer"),
     ),
     "sensor_msgs/msg/NavSatFix": MessageType(
-        (*COLUMNS["gps"], *_GPS_SIGMAS), ("deg", "deg", "m", "m", "m"), _fix, _plain("gps")
+        (*COLUMNS["gps"], "gps_sigma_m", "gps_sigma_up_m"), ("deg", "deg", "m", "m", "m"), _FIX_FIELDS, _fix,
+        _plain("gps"),
     ),
     "sensor_msgs/msg/Temperature": MessageType(
-        COLUMNS["temperature"], ("degC",), lambda m: (m.temperature,), _plain("temperature")
+        COLUMNS["temperature"], ("degC",), ("temperature",), unchanged, _plain("temperature")
     ),
-    "nav_msgs/msg/Odometry": MessageType((*COLUMNS["odometry"], *_SPEEDS), ("m/s",) * 6, _odometry, _plain("odometry")),
-    "geometry_msgs/msg/TwistStamped": MessageType(
-        COLUMNS["odometry"],
-        ("m/s",) * 3,
-        lambda m: (m.twist.linear.x, m.twist.linear.y, m.twist.linear.z),
+    "nav_msgs/msg/Odometry": MessageType(
+        (*COLUMNS["odometry"], *_SPEEDS), ("m/s",) * 6,
+        (*_of("twist.twist.linear", *XYZ), *_of("twist.covariance", "[0]", "[7]", "[14]")), _odometry,
         _plain("odometry"),
     ),
+    "geometry_msgs/msg/TwistStamped": MessageType(
+        COLUMNS["odometry"], ("m/s",) * 3, _of("twist.linear", *XYZ), unchanged, _plain("odometry")
+    ),
     "geometry_msgs/msg/PointStamped": MessageType(
-        COLUMNS["position"], ("m",) * 3, lambda m: (m.point.x, m.point.y, m.point.z), _plain("position")
+        COLUMNS["position"], ("m",) * 3, _of("point", *XYZ), unchanged, _plain("position")
     ),
     "geometry_msgs/msg/QuaternionStamped": MessageType(
-        COLUMNS["orientation"],
-        ("1",) * 4,
-        lambda m: (m.quaternion.w, m.quaternion.x, m.quaternion.y, m.quaternion.z),
-        _plain("orientation"),
+        COLUMNS["orientation"], ("1",) * 4, _of("quaternion", ".w", *XYZ), unchanged, _plain("orientation")
     ),
     "geometry_msgs/msg/Vector3Stamped": MessageType(
-        ("x", "y", "z"), ("", "", ""), lambda m: (m.vector.x, m.vector.y, m.vector.z), _vector_channels
+        ("x", "y", "z"), ("", "", ""), _of("vector", *XYZ), unchanged, _vector_channels
     ),
-}
+}  # fmt: skip
 """Schema name -> how it is read. All have a ``std_msgs/Header``."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import AttestError
 from ..records import Result
+from .arrow import is_number, numbers
 
 AGAIN = "run attest smooth again"
 TEXT_COLUMNS = frozenset({"kind", "checks", "sensor"})
@@ -76,19 +77,21 @@ def _columns(path: Path, needed: Sequence[str]) -> Mapping[str, NDArray[Any]]:
     if not path.is_file():
         raise AttestError(f"{path}: missing from the result", AGAIN)
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:  # read_table would import pandas
+            table = file.read(use_threads=False)  # small
     except (pa.ArrowException, OSError) as error:
         raise AttestError(f"{path}: damaged: {str(error).splitlines()[0]}", AGAIN) from None
     _require(path, needed, table.column_names)
     columns = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
-        if pa.types.is_fixed_size_list(column.type):
-            flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
-            columns[name] = flat.reshape(-1, column.type.list_size)
+        if pa.types.is_fixed_size_list(column.type) and is_number(column.type.value_type):
+            size = column.type.list_size
+            flat = [chunk.values.slice(chunk.offset * size, len(chunk) * size) for chunk in column.chunks]
+            columns[name] = numbers(pa.chunked_array(flat, column.type.value_type)).reshape(-1, size)
         elif pa.types.is_string(column.type):
             columns[name] = np.array(column.to_pylist(), dtype=np.str_)
         else:
-            columns[name] = column.to_numpy()
+            columns[name] = numbers(column) if is_number(column.type) else np.empty(0, dtype=np.object_)
         if column.null_count or columns[name].dtype.kind not in ("U" if name in TEXT_COLUMNS else "iufb"):
             raise AttestError(f"{path}: column {name} holds blanks or {column.type}: not as attest writes it", AGAIN)
     return columns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,13 @@ DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 
 EPOCH_S = (6.3e8, 4.1e9)  # 1990 to 2100: seconds that are a date
 PERIOD_S = (1e-4, 1.0)  # periods an IMU can have
+OTHER_PERIOD_S = (1e-3, 3600.0)  # periods other sensors can have
+LONGEST_STEP_S = 90.0  # a sensor without a unit of time that steps by more counts no seconds
 NUMBER = r"^\s*[-+]?\d*\.?\d*([eE][-+]?\d+)?\s*$"
 """Text that is a stamp."""
 
-WAY_OUT = 'name the unit in the header: "timestamp_ns", "time [ms]", "t_us"'
+WAY_OUT = 'name the unit in the header: "timestamp_ns", "time [ms]", "t_us"; for a text log also with --time-unit'
+COUNT_HINT = "in a text log --sample-rate HZ makes time of a counter, or of the rows"
 
 
 def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, ...]]:
@@ -44,7 +48,7 @@ def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, .
         if len(found) != 1:  # stamps without resolution are refused later, by name
             found = dated or (found if step else ["s"])
     else:
-        found = dated or ["s"]
+        found = dated or (["s"] if step < LONGEST_STEP_S else _fitting(step, OTHER_PERIOD_S))
     if len(found) != 1:
         fits = " and ".join(found) or "no unit"
         raise AttestError(f"{path}: the unit of time cannot be told: a median step of {step:g} fits {fits}", WAY_OUT)
@@ -52,6 +56,12 @@ def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, .
         return "s", ()
     message = f"{path.name}: the time column states no unit; read as {found[0]} by its step of {step:g}"
     return found[0], (Warn("time-unit-guessed", message, WAY_OUT),)
+
+
+def taken_unit(warnings: Iterable[Warn]) -> str | None:
+    """Return the unit of time that ``guess_unit`` has told of."""
+    told = next((warning.message for warning in warnings if warning.code == "time-unit-guessed"), "")
+    return told.partition("read as ")[2].partition(" ")[0] or None
 
 
 def from_text(column: pa.ChunkedArray, unit: str, path: Path) -> tuple[Ints, Array]:

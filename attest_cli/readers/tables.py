@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+import difflib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import AttestError
 from ..records import COLUMNS, Array, Bools, Channel, Ints, Recording, Warn
-from .columns import Column, recognise, time_column
+from ..settings.table import Table
+from .columns import (
+    HEADER_STAMPS,
+    Column,
+    bare_quantity,
+    counter_column,
+    recognise,
+    time_columns,
+    words_of,
+)
+from .stamps import COUNT_HINT
 
-EXTRA: Mapping[str, tuple[str, ...]] = {"odometry": ("speed",), "gps": ("gps_sigma_m", "gps_sigma_up_m")}
+EXTRA: Mapping[str, tuple[str, ...]] = {
+    "odometry": ("speed", "velocity_sigma_x", "velocity_sigma_y", "velocity_sigma_z"),
+    "gps": ("gps_sigma_m", "gps_sigma_up_m"),
+    "magnetometer": ("mag_sigma",),
+}
 """Columns a role may have beside those of ``records.COLUMNS``."""
+
+SIGMAS = frozenset(name for names in EXTRA.values() for name in names) - {"speed"}
+GPS = frozenset({*COLUMNS["gps"], *EXTRA["gps"]})
 
 NEEDED: Mapping[str, int] = {"gps": 2, "sun": 2, "odometry": 1, "position": 2}
 """How many of a role's columns must be there, where not all."""
@@ -22,46 +40,126 @@ NEEDED: Mapping[str, int] = {"gps": 2, "sun": 2, "odometry": 1, "position": 2}
 MAX_TABLE_BYTES = 2 << 30
 """Limit of rows x columns in use x 8 bytes."""
 
-NAMES_HINT = "name the columns, for instance timestamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+NAMES_HINT = (
+    "name the columns, for instance timestamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z; "
+    'without touching a text log: --columns "OLD=gyro_x [rad/s],..."'
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which columns of a table are what. ``other``: names of columns that are not read."""
+    """Which columns of a table are what.
+
+    ``time``: the column of stamps, or of a counter, or none (index -1), where ``rate_hz`` makes time of counts.
+    ``seconds``: whole seconds beside a ``time`` within the second; ``recorder``: the recorder's stamps beside those of
+    the sensor. ``other``: names of columns that are not read.
+    """
 
     time: Column
     columns: tuple[Column, ...]
     other: Mapping[str, str] = field(default_factory=dict)
+    seconds: Column | None = None
+    recorder: Column | None = None
+    rate_hz: float | None = None
+    warnings: tuple[Warn, ...] = ()
+
+    @property
+    def times(self) -> tuple[Column, ...]:
+        """Every column that is needed for the time."""
+        return tuple(c for c in (self.time, self.seconds, self.recorder) if c is not None and c.index >= 0)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What became of which column, in words; indented what is detail."""
+        unit = f", in {self.time.unit}" if self.time.unit else ", its unit by its steps"
+        time = f"time: {self.time.name.strip()!r}{unit}"
+        if self.rate_hz is not None:
+            time = f"time: {repr(self.time.name) if self.time.index >= 0 else 'the row'} / {self.rate_hz:g} Hz"
+        shown = [time]
+        for c in self.columns:
+            unit = f", in {c.unit}" if c.unit else ", no unit"
+            shown.append(f"  {c.instance + ' ' if c.instance else ''}{c.canonical}: {c.name.strip()!r}{unit}")
+        return tuple(shown)
 
 
-def layout_of(path: Path, names: Sequence[str], units: Sequence[str] | None = None) -> Layout:
+def layout_of(
+    path: Path, names: Sequence[str], units: Sequence[str] | None = None, table: Table | None = None, *,
+    rate_hz: float | None = None, recorder: bool = False,
+) -> Layout:  # fmt: skip
     """Recognise the columns of a table by their names and, where there is one, its units row.
+
+    Parameters
+    ----------
+    table : Table, optional
+        Settings: other names for columns, the unit of time, a rate for counters.
+    rate_hz : float, optional
+        Samples per second, where no column holds time.
+    recorder : bool
+        Take the stamps of the recorder, not those of the sensor, where there are both.
 
     Raises
     ------
     AttestError
         If a column appears twice, or there is no time, or nothing that attest knows.
     """
-    units = units or [""] * len(names)
-    twice = [
-        name for name, count in Counter(name.strip() for name in names).items() if count > 1 and recognise(0, name)
-    ]
+    table, units = table or Table(), units or [""] * len(names)
+    spoken, told = _renamed(path, names, table)
+    twice = [name for name, count in Counter(n.strip() for n in spoken).items() if count > 1 and recognise(0, name)]
     if twice:
-        raise AttestError(f"{path}: column {twice[0]!r} appears more than once", "give every column a name of its own")
-    time = time_column(names, units)
-    if time is None:
-        raise AttestError(f"{path}: no time column among {_some(names)}", 'name it "timestamp_ns", "time" or "t" (s)')
+        raise AttestError(
+            f"{path}: column {twice[0]!r} appears more than once", f"give every column a name of its own; {NAMES_HINT}"
+        )
+    time = _time(path, spoken, units, table, rate_hz, recorder=recorder)
+    taken = {column.index for column in time.times}
+    quantity = bare_quantity(spoken, units, path.stem)
     best: dict[tuple[str, str], Column] = {}
-    for index, name in enumerate(names):
-        column = recognise(index, name, units[index]) if index != time.index else None
+    for index, name in enumerate(spoken):
+        label = f"{quantity} {name}" if quantity and words_of(name)[0] in (["x"], ["y"], ["z"]) else name
+        column = recognise(index, label, units[index]) if index not in taken else None
         if column is not None:
             key = (column.instance, column.canonical)
             best[key] = min(best.get(key, column), column, key=lambda c: c.rank)
     if not best:
         raise AttestError(f"{path}: no column that attest knows among {_some(names)}", NAMES_HINT)
-    used = {column.index for column in best.values()} | {time.index}
-    other = {name: "column" for index, name in enumerate(names) if index not in used}
-    return Layout(time, tuple(best.values()), other)
+    columns = tuple(replace(column, name=names[column.index]) for column in best.values())
+    used = {column.index for column in columns} | taken
+    other = {name: "column" for index, name in enumerate(names) if index not in used and name.strip()}
+    return replace(time, columns=columns, other=other, warnings=told)
+
+
+def _renamed(path: Path, names: Sequence[str], table: Table) -> tuple[list[str], tuple[Warn, ...]]:
+    """Put the names of the settings in place of those of the file; one that is not there is said."""
+    known = sorted({name.strip() for name in names} - {""})
+    told = []
+    for old in table.names:
+        if old.strip() not in known:
+            near = difflib.get_close_matches(old, known, n=3, cutoff=0.4) or known[:6]
+            message = f"{path.name}: no column {old!r} to be {table.names[old]!r}"
+            told.append(Warn("no-such-column", message, f"the nearest: {', '.join(map(repr, near))}"))
+    new = {old.strip(): name for old, name in table.names.items()}
+    return [new.get(name.strip(), name) for name in names], tuple(told)
+
+
+def _time(
+    path: Path, names: Sequence[str], units: Sequence[str], table: Table, rate_hz: float | None, *, recorder: bool
+) -> Layout:
+    """Choose what tells the time: a column of stamps, else a counter and a rate."""
+    found, counter = time_columns(names, units), counter_column(names)
+    fine = not found or found[0].canonical == "sample_time_fine"  # ticks of no fixed length, often left blank
+    if table.sample_rate_hz or (rate_hz is not None and fine and (counter or not found)):
+        return Layout(counter or Column(-1, "", "row", "", "", 0), (), rate_hz=table.sample_rate_hz or rate_hz)
+    if not found:
+        counts = f"; {counter.name!r} counts: --sample-rate HZ makes time of it" if counter else f"; {COUNT_HINT}"
+        hint = f'name it "timestamp_ns", "time" or "t" (s), for a text log also with --columns "OLD=time [s]"{counts}'
+        raise AttestError(f"{path}: no time column among {_some(names)}", hint)
+    own = [column for column in found if column.canonical in HEADER_STAMPS]
+    others = [column for column in found if column.canonical not in HEADER_STAMPS]
+    best = others[0] if recorder and others else found[0]
+    alike = [column for column in found if column.canonical == best.canonical and column.unit == "s"]
+    seconds = alike[0] if best.unit in {"ms", "us", "ns"} and alike else None
+    fallback = others[0] if best in own and others else None
+    unit = table.time_unit or best.unit
+    return Layout(replace(best, unit=unit), (), seconds=seconds, recorder=fallback)
 
 
 def recording_of(
@@ -82,6 +180,7 @@ def recording_of(
         Takes the rows of the IMU (n,) and returns stamps (n,) int64 ns, validity (n,) and warnings. The rows matter
         because a unit of time is told by the step of the IMU.
     """
+    values, invalid = _valid_fixes(path, layout, values)
     groups = _groups(path, layout, values)
     imu_rows = np.zeros(next(iter(values.values())).size, dtype=bool)
     for role, _, columns in groups:
@@ -90,12 +189,49 @@ def recording_of(
     stamps_ns, valid, told = stamps(imu_rows)
     good = ~np.isnan(valid)
     channels = [_channel(role, name, columns, values, stamps_ns, good) for role, name, columns in groups]
-    told += tuple(warnings)
+    told = (*layout.warnings, *told, *warnings)
     if not np.all(good):
         message = f"{path.name}: {np.count_nonzero(~good)} of {good.size} rows dropped: no readable time"
         told += (Warn("rows-without-time", message, "see the rows with attest doctor"),)
+    told += invalid
+    channels, receiver = _without_receiver_speed(path, channels)
+    told += receiver
     kept = tuple(channel for channel in channels if channel.stamps_ns.size)
-    return Recording(path, format_name, kept, int(good.size), layout.other, told)
+    return Recording(path, format_name, kept, int(good.size), layout.other, told, layout.told)
+
+
+def _valid_fixes(path: Path, layout: Layout, values: Mapping[int, Array]) -> tuple[dict[int, Array], tuple[Warn, ...]]:
+    """Blank the fixes whose accuracy is negative, and a negative speed with them: so phones mark what is none."""
+    kept = dict(values)
+    told: list[Warn] = []
+    for accuracy in (column for column in layout.columns if column.canonical == "gps_sigma_m"):
+        wrong = values[accuracy.index] < 0.0
+        if not np.any(wrong):
+            continue
+        for column in (column for column in layout.columns if column.instance == accuracy.instance):
+            if column.canonical in GPS:
+                kept[column.index] = np.where(wrong, np.nan, values[column.index])
+            elif column.canonical == "speed":
+                kept[column.index] = np.where(wrong & (values[column.index] < 0.0), np.nan, values[column.index])
+        message = f"{path.name}: {np.count_nonzero(wrong)} fixes dropped: their accuracy is negative"
+        told.append(Warn("gps-invalid", message, "a receiver marks fixes so that are none"))
+    return kept, tuple(told)
+
+
+def _without_receiver_speed(path: Path, channels: Sequence[Channel]) -> tuple[list[Channel], tuple[Warn, ...]]:
+    """Withhold the role of odometry from a speed that comes with each fix: it is the receiver's, over ground."""
+    fixes = [channel.stamps_ns for channel in channels if channel.role == "gps"]
+    kept, told = [], tuple[Warn, ...]()
+    for channel in channels:
+        if set(channel.values) == {"speed"} and any(np.isin(channel.stamps_ns, stamps).all() for stamps in fixes):
+            message = (
+                f"{path.name}: the speed comes with the fixes, so it is the receiver's, not that of wheels: not used"
+            )
+            told = (Warn("receiver-speed", message, f"--map odometry={channel.name} uses it all the same"),)
+            kept.append(replace(channel, role=""))
+        else:
+            kept.append(channel)
+    return kept, told
 
 
 def _channel(
@@ -141,7 +277,7 @@ def _roles(mine: Mapping[str, Column], values: Mapping[int, Array]) -> list[str]
     roles = [
         role
         for role, names in COLUMNS.items()
-        if role not in {"imu", "gyro", "accel"} and mine.keys() & {*names, *EXTRA.get(role, ())} - set(EXTRA["gps"])
+        if role not in {"imu", "gyro", "accel"} and mine.keys() & {*names, *EXTRA.get(role, ())} - SIGMAS
     ]
     halves = [role for role in ("gyro", "accel") if mine.keys() & set(COLUMNS[role])]
     if len(halves) == 2:

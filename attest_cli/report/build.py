@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,7 @@ import numpy as np
 from .. import __version__
 from ..assess import Pass
 from ..estimate import Estimate
-from ..filters import named
-from ..maths.consistency import upper_quantile
+from ..maths.consistency import FEW, mean_nis, noise_status, rejection_status
 from ..position import Position
 from ..records import Array, Innovations, Log, Recording, Segmentation, Warn
 from ..settings import Effective
@@ -29,11 +28,7 @@ SENSOR_NAMES = {
     "magnetometer": "magnetometer",
     "orientation": "orientation",
 }
-BAND = 1e-4  # two-sided probability outside which a mean NIS is not chance
-MANY_REJECTED = 0.01
-MOST_REJECTED = 0.5
-FEW = 5  # measurements of a sensor that say little about its noise
-FAR_OFF = 4.0  # mean NIS over its degrees of freedom: sigma cannot be trusted
+BY_NIS = {"smaller": "are better than", "fits": "fit", "larger": "are worse than"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +52,8 @@ class Run:
 
 def build(run: Run) -> dict[str, Any]:
     """Return the report without its pages."""
-    checks = _checks(run)
+    statistics = _statistics(run)
+    checks = _checks(run, statistics)
     return {
         "attest_version": __version__,
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -67,7 +63,7 @@ def build(run: Run) -> dict[str, Any]:
         "coverage": _coverage(run.log),
         "settings": _settings(run),
         "methods": {
-            "filter": named(run.effective.settings.smoothing.filter),
+            "filter": run.est.filter,
             "smoother": run.effective.settings.smoothing.smoother,
             "iterations": run.est.smoothed.passes,
             "position": run.position.method if run.position else "none",
@@ -75,11 +71,12 @@ def build(run: Run) -> dict[str, Any]:
         },
         "heading": run.est.forward.heading,
         "body": dict(run.body),
-        "statistics": _statistics(run),
+        "statistics": statistics,
         "advice": {k: run.advice[k] for k in ("threshold_deg", "axis", "lines")},
         "warnings": [{"code": w.code, "message": w.message, "hint": w.hint, "lost": w.lost} for w in run.warnings],
         "checks": sorted(checks, key=lambda c: ("FAIL", "WARN", "PASS").index(c["status"])),
         "gaps": [[float(a), float(b)] for a, b in run.log.gaps],
+        "shown": [asdict(shown) for shown in run.est.shown],
         "pages": [],
         "history": [*run.log.history, *run.est.world.notes],
     }
@@ -100,7 +97,7 @@ def _input(run: Run) -> dict[str, Any]:
         "start_utc": start,
         "duration_s": float(t[-1] - t[0]),
         "samples": len(t),
-        "rate_hz": float(1.0 / np.median(np.diff(t))) if len(t) > 1 else None,
+        "rate_hz": _rate(t) if len(t) > 1 else None,
         "sensors": sensors,
     }
 
@@ -157,15 +154,22 @@ def _settings(run: Run) -> dict[str, Any]:
     return out
 
 
-def _sigma(run: Run, name: str) -> tuple[Array, Array]:
-    """Return heading and tilt sigma of a pass, deg, where it is known."""
-    sigma = np.degrees(run.passes[name].sigma_n())
-    sigma = sigma[np.isfinite(sigma).all(axis=1)]
-    return sigma[:, 2], np.hypot(sigma[:, 0], sigma[:, 1])
+def _rate(t: Array) -> float:
+    return float(1.0 / np.median(np.diff(t)))
+
+
+def _median(values: Array, t: Array) -> float:
+    """Return the median over time of what is known at the nodes ``t``: they stand closer here than there."""
+    width, known = np.diff(t), np.isfinite(values)
+    weight = np.append(width, 0.0) + np.append(0.0, width)
+    order = np.argsort(values[known])
+    share = np.cumsum(weight[known][order])
+    return float(values[known][order][np.searchsorted(share, 0.5 * share[-1])])
 
 
 def _statistics(run: Run) -> dict[str, Any]:
-    heading, tilt = _sigma(run, "smoothed")
+    t, sigma = run.est.smoothed.t, np.degrees(run.passes["smoothed"].sigma_n())
+    heading, tilt = sigma[:, 2], np.hypot(sigma[:, 0], sigma[:, 1])
     forward_heading = np.degrees(run.passes["forward"].sigma_n()[:, 2])
     if run.est.moving.any():  # not while the filter finds its feet at the first stop
         forward_heading = forward_heading[run.est.moving]
@@ -175,12 +179,12 @@ def _statistics(run: Run) -> dict[str, Any]:
     bias = np.degrees(run.est.smoothed.bias)
     s = run.segmentation
     return {
-        "sigma_heading_median_deg": float(np.median(heading)),
-        "sigma_heading_max_deg": float(np.max(heading)),
-        "sigma_tilt_median_deg": float(np.median(tilt)),
-        "sigma_tilt_max_deg": float(np.max(tilt)),
+        "sigma_heading_median_deg": _median(heading, t),
+        "sigma_heading_max_deg": float(np.nanmax(heading)),
+        "sigma_tilt_median_deg": _median(tilt, t),
+        "sigma_tilt_max_deg": float(np.nanmax(tilt)),
         "forward_sigma_heading_max_deg": float(np.max(forward_heading)),
-        **_position_numbers(run.position),
+        **_position_numbers(run.position, t),
         "motions": len(s.motions),
         "stops": len(s.stops),
         "separation_checks": len(apart),
@@ -200,16 +204,15 @@ def _axes(run: Run) -> str:
     return "xy" if run.est.forward.heading == "relative" else "xyz"
 
 
-def _position_numbers(position: Position | None) -> dict[str, Any]:
+def _position_numbers(position: Position | None, t: Array) -> dict[str, Any]:
     if position is None:
         return {"position_usable": False}
     sigma = np.sqrt(np.einsum("kii->k", position.P[:, :2, :2]))
-    sigma = sigma[np.isfinite(sigma)]
-    if not len(sigma):
+    if not np.isfinite(sigma).any():
         return {"position_usable": False}
     return {
-        "position_sigma_median_m": float(np.median(sigma)),
-        "position_sigma_max_m": float(np.max(sigma)),
+        "position_sigma_median_m": _median(sigma, t),
+        "position_sigma_max_m": float(np.nanmax(sigma)),
         "distance_m": float(sum(position.distance.values())),
         "position_usable": position.usable,
     }
@@ -235,11 +238,12 @@ def _check(name: str, good: bool, fact: str, detail: str, *, fatal: bool = False
     return {"name": name, "status": "FAIL" if fatal else "PASS" if good else "WARN", "fact": fact, "detail": detail}
 
 
-def _checks(run: Run) -> list[dict[str, Any]]:
+def _checks(run: Run, statistics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the lines of "What to know": warnings of the log first, then what the run found out about itself."""
     lines = [_check(w.code, False, _sentence(w.message), w.hint) for w in run.warnings]
-    lines += _separation_check(run) + _innovation_checks(run.est.forward.innovations)
-    lines += [c for c in (_position_check(run), _advice_check(run), _data_check(run)) if c is not None]
+    lines += _separation_check(statistics) + _innovation_checks(run.est.forward.innovations)
+    others = (_position_check(run, statistics), _advice_check(run), _data_check(run, statistics["jitter_ms"]))
+    lines += [check for check in others if check is not None]
     return lines
 
 
@@ -252,8 +256,7 @@ def _sentence(message: str) -> str:
     return message if ":" in message.split(" ", maxsplit=1)[0] else message[:1].upper() + message[1:]
 
 
-def _separation_check(run: Run) -> list[dict[str, Any]]:
-    s = _statistics(run)
+def _separation_check(s: Mapping[str, Any]) -> list[dict[str, Any]]:
     total, inside = s["separation_checks"], s["separation_inside_2sigma"]
     if total == 0:
         return []
@@ -268,26 +271,22 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
     for role, s in _innovations(found).items():
         name = role.replace("_", " ")
         if s["rejected"]:
-            share = s["rejected"] / s["count"]
+            status = rejection_status(s["rejected"], s["count"])
             fact = f"{s['rejected']} of {s['count']} {name} measurements rejected"
-            most = share > MOST_REJECTED and s["count"] >= FEW
-            detail = "they contradict the rest of the log: its sigma does not hold" if most else "see the innovations"
-            lines.append(_check(f"rejected-{role}", share <= MANY_REJECTED, fact, detail, fatal=most))
+            fatal = status == "FAIL"
+            detail = "they contradict the rest of the log: its sigma does not hold" if fatal else "see the innovations"
+            lines.append(_check(f"rejected-{role}", status == "PASS", fact, detail, fatal=fatal))
         if s["used"] < FEW:
             continue
-        total, mean = s["used"] * s["dof"], s["mean_nis"]
-        low, high = (upper_quantile(total, p) / s["used"] for p in (1 - BAND / 2, BAND / 2))
-        fit = "are better than" if mean < low else "are worse than" if mean > high else "fit"
-        fact, detail = (
-            f"{name.capitalize()} innovations {fit} their noise",
-            f"mean NIS {mean:.2g} for {_degrees(s['dof'])}",
-        )
-        lines.append(_check(f"innovations-{role}", mean <= high, fact, detail, fatal=mean > FAR_OFF * s["dof"]))
+        judged = s["mean_nis"], s["used"], s["dof"]
+        status = noise_status(*judged)
+        fact = f"{name.capitalize()} innovations {BY_NIS[mean_nis(*judged)]} their noise"
+        detail = f"mean NIS {s['mean_nis']:.2g} for {_degrees(s['dof'])}"
+        lines.append(_check(f"innovations-{role}", status == "PASS", fact, detail, fatal=status == "FAIL"))
     return lines
 
 
-def _position_check(run: Run) -> dict[str, Any] | None:
-    s = _position_numbers(run.position)
+def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:
     if run.position is None or not run.segmentation.motions or "position_sigma_max_m" not in s or s["position_usable"]:
         return None
     reach = f"its sigma reaches {s['position_sigma_max_m']:.0f} m"
@@ -312,13 +311,11 @@ def _advice_check(run: Run) -> dict[str, Any] | None:
     return _check("stop-advice", below, fact, detail)
 
 
-def _data_check(run: Run) -> dict[str, Any] | None:
+def _data_check(run: Run, jitter_ms: float | None) -> dict[str, Any] | None:
     if run.log.warnings or len(run.log.gaps):
         return None
-    t = run.log.imu.t
-    dt = np.diff(t)
-    rate, jitter = 1.0 / np.median(dt), 1e3 * np.percentile(np.abs(dt - np.median(dt)), 95)
-    return _check("data", True, "No gaps, duplicates or disorder", f"rate {rate:.1f} Hz, jitter {jitter:.2f} ms")
+    told = f"rate {_rate(run.log.imu.t):.1f} Hz, jitter {jitter_ms:.2f} ms"
+    return _check("data", True, "No gaps, duplicates or disorder", told)
 
 
 def _verdict(run: Run, checks: Sequence[Mapping[str, Any]]) -> str:

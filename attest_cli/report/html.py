@@ -59,6 +59,7 @@ def page(result: Result, pictures: Sequence[Picture]) -> str:
         _notes("When to stop", (("PASS", line, "") for line in (report.get("advice") or {}).get("lines", ()))),
         *map(_figure, pictures),
         _segments(result.segments),
+        _shown(report.get("shown") or []),
         _settings(report["settings"]),
         _footer(report),
     ]
@@ -120,6 +121,20 @@ def _cells(tag: str, cells: Sequence[object]) -> str:
 
 def _table(head: str, body: Sequence[str]) -> str:
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
+
+
+def _shown(found: Sequence[Mapping[str, Any]]) -> str:
+    """What the drive shows of its sensors, folded."""
+    if not found:
+        return ""
+    rows = []
+    for item in found:
+        values, sigma = (", ".join(two_digits(v) for v in item[key]) for key in ("values", "sigma"))
+        rows.append(
+            f"<tr><td>{_h(item['name'])}</td><td>{_h(values)}</td><td>{_h(sigma)}</td><td>{_h(item['unit'])}</td></tr>"
+        )
+    head = "<th>of the sensors</th><th>value</th><th>sigma</th><th>unit</th>"
+    return f"<details><summary>What the drive shows</summary>{_table(head, rows)}</details>"
 
 
 def _settings(settings: Mapping[str, Mapping[str, Any]]) -> str:

@@ -84,6 +84,15 @@ class Methods(Part):
     not_estimated: list[str] = Field(default_factory=list, description="states that this filter does not estimate")
 
 
+class Shown(Part):
+    """A sensor error, lag, lever arm or noise that was found in the drive."""
+
+    name: str
+    values: list[Number]
+    sigma: list[Number] = Field(description="1 sigma of each value; empty: found otherwise")
+    unit: str
+
+
 class BodyAxes(Part):
     """Axes of the track."""
 
@@ -189,6 +198,7 @@ class Report(Part):
     checks: list[Check] = Field(default_factory=list)
     gaps: list[tuple[float, float]] = Field(default_factory=list, description="holes in the IMU: start and end, s")
     pages: list[PageEntry] = Field(default_factory=list)
+    shown: list[Shown] = Field(default_factory=list, description="what the drive shows of its sensors")
     history: list[Any] = Field(default_factory=list)
 
 
@@ -215,7 +225,7 @@ def _columns() -> dict[str, Any]:
             columns[name.format(axis)] = (kind, Field(description=text.format(axis)))
     columns["segment"] = (int, Field(ge=1, description="stops odd, motions even (int32)"))
     columns["moving"] = (bool, Field(description="false at a stop"))
-    relative = "deg, 1 sigma of heading since the start, where heading has a datum of its own"
+    relative = "deg, 1 sigma of heading with its mean over the motion taken out, where its datum is the larger error"
     columns["sigma_heading_relative_deg"] = (float | None, Field(default=None, description=relative))
     return columns
 

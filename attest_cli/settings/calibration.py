@@ -16,6 +16,8 @@ from ..errors import AttestError
 from .load import read_toml
 
 AXES = ("x", "y", "z")
+TELLING_WALK = 4e-5  # rad/s^2/sqrt(Hz), twice a consumer MEMS gyro's: a bound beyond it tells less than the make does
+MOSTLY = 0.9
 ModelName = Literal["constant", "ramp", "exponential", "temperature", "random-walk"]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -53,6 +55,11 @@ class Source(Part):
     static: bool = Field(description="the whole record stands still")
     notes: tuple[str, ...] = ()
 
+    @property
+    def rests(self) -> bool:
+        """Whether it rests for nearly all of its duration: several static logs lie apart."""
+        return self.static and self.at_rest_s >= MOSTLY * self.duration_s
+
 
 class Noise(Part):
     """Noise of one axis; intervals hold 95 %."""
@@ -73,7 +80,10 @@ class Bias(Part):
 
     model: ModelName
     names: tuple[str, ...] = Field(description="of the values")
-    values: tuple[Finite, ...]
+    values: tuple[Finite, ...] = Field(
+        description="rad/s, s, K; t s since t0_ns, x deg C above 25: constant C; ramp C + slope t; exponential "
+        "C1 (1 - exp(-t/T)) + C2; temperature c0 + c1 x + c2 x^2; random-walk: the bias at the end, and its K"
+    )
     covariance: tuple[tuple[Finite, ...], ...]
     sigma: NotNegative = Field(description="of the fitted bias at the end of the record, rad/s")
     walk_beside: NotNegative = Field(
@@ -101,6 +111,15 @@ class GyroAxis(Part):
 
     noise: Noise
     bias: Bias
+
+    @property
+    def knows_walk(self) -> bool:
+        """Whether K was seen, or bounded so low that not seeing it tells something; else the record is too short."""
+        return self.noise.random_walk is not None or self.noise.random_walk_95[1] <= TELLING_WALK
+
+    def walk(self, *, explained: bool) -> float:
+        """K to filter with, rad/s^2/sqrt(Hz): beside the model, or in its place where the model explains nothing."""
+        return self.bias.walk_beside if explained else max(self.bias.walk_beside, self.bias.walk_alone)
 
 
 class Gyro(Part):

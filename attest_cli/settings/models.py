@@ -18,6 +18,7 @@ from .quantities import (
     GyroDensity,
     GyroWalk,
     Latitude,
+    LeverArm,
     Longitude,
     Metres,
     PositiveSeconds,
@@ -35,6 +36,7 @@ from .quantities import (
     as_quaternion,
     positive,
 )
+from .table import Table
 
 EARTH_GRAVITY_M_S2 = 9.80665  # standard gravity, 3rd CGPM 1901
 MARS_GRAVITY_M_S2 = 3.72076  # mean surface gravity of Mars
@@ -159,6 +161,10 @@ class Odometry(Section):
     sigma_m_s: Speed = Field(0.05, description="noise of the forward speed; wheel odometry at 10 to 20 Hz")
     lateral_sigma_m_s: Speed = Field(0.05, description="sideways and vertical slip of a wheeled vehicle")
     scale_sigma: Ratio = Field(0.03, description="scale error, 1 sigma; tyre pressure and load")
+    lever_arm_m: LeverArm = Field(
+        "auto",
+        description="from the IMU to where the wheels' velocity holds, body axes; auto: as the drive shows, else 0",
+    )
 
 
 class Gps(Section):
@@ -166,6 +172,19 @@ class Gps(Section):
 
     channel: str | None = Field(None, description="topic or column group; none: by type and name")
     sigma_m: Metres | None = Field(None, description="noise per axis; none: as the log states, else 3 m")
+    lever_arm_m: LeverArm = Field(
+        "auto", description="from the IMU to the antenna, body axes; auto: as the drive shows, else 0"
+    )
+
+
+class Position(Section):
+    """Positions in local axes, east, north, up: a tracker, a total station."""
+
+    channel: str | None = Field(None, description="topic or column group; none: by type and name")
+    sigma_m: Metres | None = Field(None, description="noise per axis; none: as the log states, else 0.1 m")
+    lever_arm_m: LeverArm = Field(
+        "auto", description="from the IMU to the point that is tracked, body axes; auto: as the drive shows, else 0"
+    )
 
 
 class Stops(Section):
@@ -265,6 +284,7 @@ class Settings(Section):
     orientation: Orientation = Orientation()
     odometry: Odometry = Odometry()
     gps: Gps = Gps()
+    position: Position = Position()
     stops: Stops = Stops()
     smoothing: Smoothing = Smoothing()
     navigation: Navigation = Navigation()
@@ -274,5 +294,6 @@ class Settings(Section):
     body: Body = Body()
     gate: Gate = Gate()
     time: Time = Time()
+    table: Table = Table()
     output: Output = Output()
     map: dict[Role, str] = Field({}, description="role -> channel; the same as the channel key of a role's own table")

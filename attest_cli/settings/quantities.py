@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from .units import convert
@@ -87,6 +87,8 @@ def as_direction(value: object) -> object:
 
 def as_lever(value: object) -> object:
     """Check a lever arm."""
+    if value == "auto":
+        return value
     return numbers(value, 3, "x, y, z in metres")
 
 
@@ -123,6 +125,9 @@ def as_formats(value: object) -> object:
             raise ValueError("should name at least one format")
         return tuple(dict.fromkeys(names))
     return names
+
+
+LeverArm = Annotated[Vector | Literal["auto"], BeforeValidator(as_lever)]
 
 
 class Section(BaseModel):

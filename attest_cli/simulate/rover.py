@@ -241,6 +241,6 @@ def rover_settings(options: RoverOptions) -> dict[str, dict[str, Any]]:
         settings["odometry"] = {
             "sigma_m_s": ODOMETRY_SIGMA,
             "lateral_sigma_m_s": ODOMETRY_LATERAL,
-            "scale_sigma": 0.02,
+            "scale_sigma": 0.01,
         }
     return settings

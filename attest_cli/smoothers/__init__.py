@@ -16,6 +16,7 @@ from . import paper
 __all__ = ["SMOOTHERS", "backward_estimate", "thinned"]
 
 SINGULAR = 1e-9  # least eigenvalue, of information scaled to a diagonal of ones, that still has an inverse
+LOST = 1e6  # rad^2: a heading less known than this leaves no digits to the tilt beside it
 FAR_RAD = np.pi / 6  # a backward pass this far from the forward one is not described by errors about it
 
 
@@ -63,8 +64,10 @@ def backward_estimate(
 ) -> tuple[Array, Array, Array]:
     """Return the backward pass as an estimate of its own: ``q`` (n, 4), ``bias`` (n, 3), ``P`` (n, 6, 6).
 
-    It holds the measurements after each node only. NaN where its attitude (without a heading sensor: its tilt) is not
-    known to ``weakest`` rad, or so far from the forward pass (30 deg) that errors about that pass do not describe it.
+    It holds the measurements after each node only, and what was known of constants beforehand.
+
+    NaN where its attitude (without a heading sensor: its tilt) is not known to ``weakest`` rad, or so far from the
+    forward pass (30 deg) that errors about that pass do not describe it.
     Without a heading sensor it borrows the forward heading, so that its tilt can be shown.
     """
     Y, y = information or kalman.information(run.chain)
@@ -74,6 +77,8 @@ def backward_estimate(
         known = np.einsum("ki,kij,kj->k", up_b, run.chain.P[:, :3, :3], up_b)
         Y = Y.copy()
         Y[:, :3, :3] += np.einsum("ki,kj->kij", up_b, up_b) / known[:, None, None]
+    if run.beforehand is not None:
+        Y, y = Y + run.beforehand[0], y + run.beforehand[1]
     size = np.sqrt(np.maximum(np.einsum("kii->ki", Y), 1e-300))  # makes rad and rad/s comparable
     known = np.linalg.eigvalsh(Y / (size[:, :, None] * size[:, None, :]))[:, 0] > SINGULAR
     d, P = np.zeros_like(run.chain.dx), run.chain.P.copy()
@@ -82,10 +87,11 @@ def backward_estimate(
     found = apply(run, kalman.Errors(d, P, np.zeros_like(P[1:])))
     apart = 2.0 * np.arccos(np.clip(np.abs(np.sum(found.q * run.q, axis=1)), 0.0, 1.0))
     spread = np.einsum("kii->k", found.P[:, :3, :3])
+    unknown = ~known | (apart >= FAR_RAD) | ~(spread < LOST)
     if relative:
         up_b = rotation.matrix(found.q)[:, 2, :]
         spread -= np.einsum("ki,kij,kj->k", up_b, found.P[:, :3, :3], up_b)
-    unknown = ~known | (spread >= weakest**2) | (apart >= FAR_RAD)
+    unknown |= spread >= weakest**2
     for values in (found.q, found.bias, found.P):
         values[unknown] = np.nan
     return found.q, found.bias, found.P

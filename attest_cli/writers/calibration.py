@@ -174,22 +174,36 @@ def _char(char: str) -> str:
 
 
 def write_kalibr(file: model.CalibrationFile, path: Path) -> None:
-    """Write Kalibr's ``imu.yaml``: one figure for all axes (rms); a walk that was not seen is written as its 95 %
-    bound.
+    """Write Kalibr's ``imu.yaml``: one figure for all axes (rms), the gyro's those that ``attest smooth --calibration``
+    uses in another drive; a walk of the accelerometer that was not seen is written as its 95 % bound.
     """
     gyro = [axis.noise for axis in file.axes]
     accel = [] if file.accelerometer is None else [file.accelerometer.x, file.accelerometer.y, file.accelerometer.z]
     lines = ["# Written by attest calibrate-bias; continuous-time noise as Kalibr defines it, rms of the three axes."]
-    for name, noise, unit in (("gyroscope", gyro, "rad/s"), ("accelerometer", accel, "m/s^2")):
+    walks = _gyro_walk_line(file), _walk_line("accelerometer", accel, "m/s^2")
+    parts = ("gyroscope", gyro, "rad/s"), ("accelerometer", accel, "m/s^2")
+    for (name, noise, unit), walk in zip(parts, walks, strict=True):
         if noise:
             density = model.rms(n.noise_density for n in noise)
-            lines += [f"{name}_noise_density: {_number(density)}  # {unit}/sqrt(Hz)", _walk_line(name, noise, unit)]
+            lines += [f"{name}_noise_density: {_number(density)}  # {unit}/sqrt(Hz)", walk]
     lines += [f"update_rate: {_number(file.source.rate_hz)}  # Hz", f"rostopic: {_text(file.source.channel)}"]
     with atomic_write(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def _gyro_walk_line(file: model.CalibrationFile) -> str:
+    """Say K as a drive of another day is filtered with it, or that the record does not know it."""
+    bound = model.rms(axis.noise.random_walk_95[1] for axis in file.axes)
+    most = f"95 % bound {bound:.3g}" if math.isfinite(bound) else "without a bound"
+    if not all(axis.knows_walk for axis in file.axes):
+        return f"# gyroscope_random_walk: not known, the record is too short; {most}"
+    walk = model.rms(axis.walk(explained=False) for axis in file.axes)
+    return f"gyroscope_random_walk: {_number(walk)}  # rad/s/s/sqrt(Hz), mean of its likelihood; {most}"
+
+
 def _walk_line(name: str, noise: Sequence[model.Noise], unit: str) -> str:
+    if not noise:
+        return ""
     unseen = sum(n.random_walk is None for n in noise)
     walk = model.rms(n.random_walk if n.random_walk is not None else n.random_walk_95[1] for n in noise)
     if not math.isfinite(walk):

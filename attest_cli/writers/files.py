@@ -60,7 +60,7 @@ def check_output(path: Path, *, overwrite: bool = False, inputs: Sequence[Path] 
         raise AttestError(f"{path}: a link to {path.readlink()}, which does not exist", "choose another name with -o")
     filled = path.exists() and (not path.is_dir() or any(path.iterdir()))
     if filled and not overwrite:
-        raise AttestError(f"{path}: exists already", "--overwrite replaces it, -o chooses another name")
+        raise AttestError(f"{path}: exists already", "--overwrite replaces it, -o chooses another place")
     folder = path if path.is_dir() else path.parent
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -70,15 +70,30 @@ def check_output(path: Path, *, overwrite: bool = False, inputs: Sequence[Path] 
         raise AttestError(f"{path}: folder {folder} cannot be written to", "choose another place with -o")
 
 
+def arrow_array(column: NDArray[Any]) -> pa.Array:
+    """Make an Arrow array of numbers, booleans or text (n,); NaN stays NaN.
+
+    Of its own memory where it can be: ``pa.array`` would import pandas wherever that is installed.
+    """
+    if column.dtype.kind in "UO":
+        return _text_array([str(text).encode() for text in column.tolist()])
+    held = np.packbits(column, bitorder="little") if column.dtype.kind == "b" else np.ascontiguousarray(column)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(column.dtype), len(column), [None, pa.py_buffer(held)])
+
+
+def _text_array(texts: list[bytes]) -> pa.Array:
+    ends = np.concatenate([[0], np.cumsum([len(text) for text in texts])]).astype(np.int32)
+    return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends), pa.py_buffer(b"".join(texts)))
+
+
 def arrow_table(columns: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None) -> pa.Table:
     """Make an Arrow table of columns (n,) of numbers, booleans or text, and (n, k) of floats as lists of fixed size."""
     arrays = {}
     for name, column in columns.items():
         if column.ndim == 2:
-            flat = pa.array(np.ascontiguousarray(column).ravel())
-            arrays[name] = pa.FixedSizeListArray.from_arrays(flat, column.shape[1])
+            arrays[name] = pa.FixedSizeListArray.from_arrays(arrow_array(column.ravel()), column.shape[1])
         else:
-            arrays[name] = pa.array(column.tolist(), pa.string()) if column.dtype.kind in "UO" else pa.array(column)
+            arrays[name] = arrow_array(column)
     table = pa.table(arrays)
     return table.replace_schema_metadata(dict(metadata)) if metadata else table
 
@@ -92,15 +107,19 @@ def write_arrow(tables: Iterable[pa.Table], path: Path) -> None:
     """Write Arrow tables of one schema to Parquet, a row group each, with page checksums, whole or not at all."""
     parts = iter(tables)
     first = next(parts)
-    floats, texts = [], []
+    encodings, texts, stamps = dict[str, str](), list[str](), list[str]()
     for field in first.schema:
         if pa.types.is_fixed_size_list(field.type):
-            floats.append(f"{field.name}.list.element")
+            encodings[f"{field.name}.list.element"] = "BYTE_STREAM_SPLIT"
         elif pa.types.is_floating(field.type):
-            floats.append(field.name)
+            encodings[field.name] = "BYTE_STREAM_SPLIT"
+        elif pa.types.is_int64(field.type):
+            encodings[field.name] = "DELTA_BINARY_PACKED"
+            stamps.append(field.name)
         elif pa.types.is_string(field.type):
             texts.append(field.name)
-    how: dict[str, Any] = {"compression": "zstd", "use_dictionary": texts, "use_byte_stream_split": floats}
+    how: dict[str, Any] = {"compression": "zstd", "use_dictionary": texts, "column_encoding": encodings}
+    how["write_statistics"] = stamps  # a query in time skips row groups by them; of other columns nobody asks
     with (
         atomic_write(path) as temporary,
         pq.ParquetWriter(temporary, first.schema, write_page_checksum=True, **how) as writer,

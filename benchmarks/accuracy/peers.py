@@ -75,7 +75,8 @@ def by_attest(trial: Trial, rule: str, overrides: Mapping[str, Any]) -> Run:
     stamps = log.t0_ns + np.rint(found.smoothed.t * 1e9).astype(np.int64)
     P = world_variance(found.smoothed.q, found.smoothed.P)
     none = np.full((len(found.q), 3), np.nan)
-    claims = Claims(stamps, P, np.full_like(P, np.nan), P[:, 2, 2], full=True)
+    relative = P[:, 2, 2] if found.smoothed.heading_relative is None else found.smoothed.heading_relative
+    claims = Claims(stamps, P, np.full_like(P, np.nan), relative, full=True)
     poses = Poses("attest", "track", log.stamps_ns, found.q, none, None, found.forward.heading, claims=claims)
     return Run(f"attest, {rule}", poses, RULES[rule], len(segmentation.stops))
 

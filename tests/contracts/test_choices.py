@@ -19,6 +19,7 @@ CHOICES = {
     "frame": ("world", "frame"),
     "theme": ("output", "theme"),
     "clock": ("time", "source"),
+    "time_unit": ("table", "time_unit"),
 }
 
 

@@ -196,7 +196,7 @@ def test_a_log_that_only_moves_is_refused(attest: Attest, whole: Drive, tmp_path
 def test_too_short_a_rest_is_said_to_show_little(attest: Attest, whole: Drive, tmp_path: Path) -> None:
     log = whole.span(0.0, 4.0).write(tmp_path)
     done, found = calibrated(attest, log, tmp_path / "c")
-    assert "not seen" in done.err
+    assert "too short for K" in done.err
     for axis in found["gyro"].values():
         assert "random_walk" not in axis["noise"]
         assert "instability_read_off" not in axis["noise"]
@@ -207,8 +207,51 @@ def test_too_short_a_rest_is_said_to_show_little(attest: Attest, whole: Drive, t
 
 def test_a_model_that_the_log_cannot_tell_is_refused(attest: Attest, samples: Path, tmp_path: Path) -> None:
     done = attest("calibrate-bias", samples / "rover.csv", "-o", tmp_path / "c", "--model", "temperature")
-    done.refused("temperature", "model")
+    done.refused("rover.csv: the log has no temperature", "--map temperature=")
     assert not (tmp_path / "c").exists()
+
+
+def at_rest(start_s: float, seed: int, bias: float = 1e-3) -> Drive:
+    """A minute at rest."""
+    rng, n = np.random.default_rng(seed), 1200
+    values = np.hstack([rng.normal(bias, 7e-4, (n, 3)), rng.normal([0.0, 0.0, 9.8], 1e-2, (n, 3))])
+    stamps = 1_780_308_000_000_000_000 + round(start_s * 1e9) + 50_000_000 * np.arange(n)
+    return Drive({"timestamp_ns": stamps, **dict(zip(GYRO + ACCEL, values.T, strict=True))}, {}, "")
+
+
+def test_static_logs_of_one_sensor_count_together_whatever_their_order(attest: Attest, tmp_path: Path) -> None:
+    logs = [at_rest(3600.0 * k, k, 1e-3 + 1e-5 * k).write(tmp_path, f"{k}.parquet") for k in (1, 0)]
+    done = attest("calibrate-bias", *logs, "-o", tmp_path / "c")
+    assert done.code == 0, done.err
+    found = tomllib.loads((tmp_path / "c/calibration.toml").read_text(encoding="utf-8"))["source"]
+    assert {file["name"] for file in found["files"]} == {"0.parquet", "1.parquet"}
+    assert found["at_rest_s"] == pytest.approx(118.0, abs=1.0)
+    assert "61 min, 1 min 58 s of it at rest" in done.err  # not an hour at rest
+    assert "2 logs on one time axis" in done.err
+
+
+def test_logs_that_overlap_are_refused_and_none_is_dropped_without_a_word(attest: Attest, tmp_path: Path) -> None:
+    logs = [at_rest(10.0 * k, k).write(tmp_path, f"{k}.parquet") for k in (0, 1)]
+    attest("calibrate-bias", *logs, "-o", tmp_path / "c").refused("0.parquet and 1.parquet overlap in time")
+    other = tmp_path / "gps.csv"
+    other.write_text("timestamp_ns,latitude,longitude\n1780308000000000000,1,1\n1780308001000000000,1,1\n")
+    later = at_rest(600.0, 2).write(tmp_path, "2.parquet")
+    attest("calibrate-bias", logs[0], later, other, "-o", tmp_path / "c").refused("gps.csv: no IMU in it, but 2 logs")
+
+
+def test_a_file_that_gave_nothing_is_no_source(attest: Attest, tmp_path: Path) -> None:
+    log, other = at_rest(0.0, 0).write(tmp_path, "0.parquet"), tmp_path / "gps.csv"
+    other.write_text("timestamp_ns,latitude,longitude\n1780308000000000000,1,1\n1780308001000000000,1,1\n")
+    _, found = calibrated(attest, log, tmp_path / "c", other)
+    assert [file["name"] for file in found["source"]["files"]] == ["0.parquet"]
+
+
+def test_what_the_log_cannot_show_is_a_note_and_no_warning(attest: Attest, tmp_path: Path) -> None:
+    done, _ = calibrated(attest, at_rest(0.0, 0).write(tmp_path, "0.parquet"), tmp_path / "c")
+    assert "accelerometer not calibrated" in done.err
+    assert "▲" not in done.err
+    assert "rad/s" in done.err.splitlines()[2]
+    assert "(95 %)" in done.err.splitlines()[2]
 
 
 def test_a_stuck_gyro_is_refused(attest: Attest, whole: Drive, tmp_path: Path) -> None:

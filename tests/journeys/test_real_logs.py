@@ -22,7 +22,8 @@ def real(shared_data: Path, name: str) -> Path:
 
 
 def test_husky_with_gravity_on_y(shared_data: Path, smooth: Callable[..., Any]) -> None:
-    result = smooth(real(shared_data, "logs/derived_mcap/test1_ros2_zstd.mcap"))
+    log = real(shared_data, "logs/derived_mcap/test1_ros2_zstd.mcap")
+    result = smooth(log, "--filter", "indirect")
     report = result.report
     assert report["coverage"]["share"] == 1.0
     assert report["input"]["samples"] == 11865
@@ -34,6 +35,15 @@ def test_husky_with_gravity_on_y(shared_data: Path, smooth: Callable[..., Any]) 
     assert np.median(np.abs(track["roll_deg"])) < 10.0
     assert np.median(np.abs(track["pitch_deg"])) < 10.0
     assert {"no-heading", "odometry-late"} <= result.codes
+
+
+def test_husky_with_its_fixes(shared_data: Path, smooth: Callable[..., Any]) -> None:
+    """A log with positions goes to the navigation smoother by itself."""
+    log = real(shared_data, "logs/derived_mcap/test1_ros2_zstd.mcap")
+    report = smooth(log, "--start", "200", "--end", "290").report
+    assert (report["methods"]["filter"], report["methods"]["position"]) == ("navigation", "navigation")
+    assert {"gps drift, 60 s", "gyro noise in motion"} <= {found["name"] for found in report["shown"]}
+    assert report["heading"] == "absolute"  # from where the fixes went
 
 
 def test_phidgets_upside_down(shared_data: Path, smooth: Callable[..., Any]) -> None:
@@ -76,7 +86,7 @@ def test_vectornav(shared_data: Path, attest: Callable[..., Any], tmp_path: Path
         ("logs/robot_localization/test1.bag", ("a ROS 1 bag", "convert it")),
         ("logs/euroc_asl/leica0_data.csv", ("no IMU", "position")),
         ("logs/vectornav/vn310-gnss.csv", ("no IMU", "gps")),
-        ("logs/apdm/apdm_format7.csv", ("header takes several rows", "one row")),
+        ("logs/apdm/apdm_format7.csv", ("only 3 usable IMU rows",)),
         ("euroc_mh01/leica0.parquet", ("no IMU",)),
     ],
 )

@@ -110,15 +110,17 @@ def test_exact_and_euler_steps_differ_by_less_than_the_noise() -> None:
 
 
 def test_sigma_of_the_six_states_holds(exact: list[Solved]) -> None:
-    """The gyro's white noise, and what the stop at the start left open of the bias, which fades as the gyro warms."""
+    """The rate's white noise alone: the stop at the start takes nothing from a bias that is known exactly."""
     _, high = band(len(exact))
     nees = [float(of.errors(one.q)[-1] ** 2 / one.P[-1, 2, 2]) for of, _, one, _ in exact]
     print("NEES of the last heading:", [round(v, 2) for v in nees], f"band up to {high:.1f}")
     assert np.mean(nees) < high
     for of, _, one, _ in exact:
-        n_r, stop = of.drive.noise.n_r, of.drive.segmentation.stops[0]
-        left = n_r / (stop.used_end - stop.used_start) * (338.4 * (1.0 - np.exp(-600.0 / 338.4))) ** 2
-        assert one.P[-1, 2, 2] == pytest.approx(n_r * 600.0 + left, rel=0.1)
+        s = heading.samples(of.drive)
+        axis = heading._axis(of.drive, s)
+        white = float(np.maximum(axis.density, axis.spread * s.dt) @ s.dt)
+        assert of.drive.noise.n_r * 599.0 < white < 1.5 * of.drive.noise.n_r * 600.0
+        assert one.P[-1, 2, 2] == pytest.approx(white, rel=0.1)
 
 
 def test_stops_and_smoothing_reach_three_degrees(stopped: list[Solved]) -> None:

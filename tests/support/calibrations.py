@@ -57,13 +57,20 @@ def rest(
     """Calibrate a gyro at rest or, with ``every``, one that stops ``stop`` s in each ``every`` s; ``curve``: its
     bias.
     """
+    log = log_at_rest(seconds, hz, curve, seed)
+    t, n = log.imu.t, len(log.imu.t)
+    still = (t % every) < stop if every else np.ones(n, dtype=np.bool_)
+    segments = as_segments(still, t, np.array([0, n]), 0.5)
+    return calibrate(log, Segmentation(segments, np.zeros(n), 1.0, 2.0, np.zeros(3), 1.0, "imu"), Settings())
+
+
+def log_at_rest(
+    seconds: float = 60.0, hz: float = 20.0, curve: Callable[[Array], Array] = np.zeros_like, seed: int = 1
+) -> Log:  # fmt: skip
+    """A log that does not move; ``curve``: what is added to its bias."""
     rng = np.random.default_rng(seed)
     n = round(seconds * hz)
     t = np.arange(n) / hz
     gyro = curve(t)[:, None] * [1.0, -1.5, 0.5] + [1e-3, -2e-3, 5e-4] + rng.normal(0.0, 1.5e-4 * np.sqrt(hz), (n, 3))
     force: Array = np.array([0.0, 0.0, 9.8]) + rng.normal(0.0, 2e-3 * np.sqrt(hz), (n, 3))
-    still = (t % every) < stop if every else np.ones(n, dtype=np.bool_)
-    segments = as_segments(still, t, np.array([0, n]), 0.5)
-    segmentation = Segmentation(segments, np.zeros(n), 1.0, 2.0, np.zeros(3), 1.0, "imu")
-    log = Log((Path("log.csv"),), 0, np.rint(t * 1e9).astype(np.int64), Imu(t, gyro, force), {}, np.empty((0, 2)), {})
-    return calibrate(log, segmentation, Settings())
+    return Log((Path("log.csv"),), 0, np.rint(t * 1e9).astype(np.int64), Imu(t, gyro, force), {}, np.empty((0, 2)), {})

@@ -120,6 +120,8 @@ def test_help_and_version_load_nothing_heavy(arguments: Sequence[str]) -> None:
         (["smooth", "x.csv", "--smoother", "rst"], "'two-filter', 'rts', 'paper', 'none'"),
         (["smooth", "x.csv", "--map", "sun"], "ROLE=CHANNEL"),
         (["smooth", "x.csv", "--start", "soon"], "--start"),
+        (["smooth", "x.csv", "--columns", "t,,gx"], "empty name"),
+        (["info", "x.csv", "--columns", "t,a=gx"], "mixes names"),
         (["simulate", "boat"], "rover"),
         (["smooth", "x.csv", "-o", ""], "'--output' / '-o': the name is empty"),
         (["segment", "x.csv", "-o", " "], "'--output' / '-o': the name is empty"),
@@ -273,6 +275,8 @@ def test_options_reach_the_settings(pipeline: Callable[..., None]) -> None:
         *("--iterations", "3", "--position", "literal", "--map", "sun=/sun=1", "--map", "gyro=/g", "--imu", "/imu"),
         *("--time", "log", "--frame", "ned", "--body", "imu", "--start", "5", "--end", "60", "--format", "csv,tum"),
         *("--stop-threshold-deg", "1", "--filter", "indirect", "--theme", "dark", "--stops", "s.csv"),
+        *("--columns", "clock=t [ms],IMU::Gyro::X=gyro_x", "--columns", "a: type, t, accel_x", "--columns", "t, - ,gx"),
+        *("--time-unit", "us", "--sample-rate", "128"),
     ]
     assert run(arguments) == 0
     settings = seen["effective"].settings
@@ -289,6 +293,10 @@ def test_options_reach_the_settings(pipeline: Callable[..., None]) -> None:
     assert (settings.world.frame, settings.body.axes, settings.stops.file) == ("ned", "imu", Path("s.csv"))
     assert (settings.output.formats, settings.output.theme) == (("csv", "tum"), "dark")
     assert settings.smoothing.stop_threshold_deg == 1.0
+    assert settings.table.names == {"clock": "t [ms]", "IMU::Gyro::X": "gyro_x"}
+    assert settings.table.rows == {"a": ("type", "t", "accel_x")}
+    assert (settings.table.columns, settings.table.time_unit) == (("t", "-", "gx"), "us")
+    assert settings.table.sample_rate_hz == 128.0
     assert set(seen["effective"].sources.values()) == {"command line"}
 
 
@@ -459,7 +467,7 @@ def test_a_full_disk_behind_stdout_is_one_line(arguments: Sequence[str], tmp_pat
         )
     assert done.returncode == 1
     words = done.stderr.splitlines()
-    assert len(words) == (2 if "info" in arguments and "--json" not in arguments else 1)
+    assert len(words) == (4 if "info" in arguments and "--json" not in arguments else 1)
     assert words[-1].startswith("attest: standard output")
     assert "No space left" in words[-1]
 

@@ -16,7 +16,7 @@ from attest_cli.assess import Pass
 from attest_cli.filters import indirect
 from attest_cli.maths import rotation
 from attest_cli.maths.propagation import transition
-from attest_cli.records import FilterRun, Smoothed
+from attest_cli.records import FilterRun, Segment, Smoothed
 from attest_cli.simulate import RoverOptions
 from attest_cli.smoothers import SMOOTHERS, backward_estimate
 
@@ -183,3 +183,9 @@ def test_a_drive_as_long_as_advised_keeps_its_middle_below_the_threshold(work: J
     one_side = (Phi @ P @ Phi.swapaxes(1, 2) + Q)[0, :3, :3]
     middle = np.sqrt(np.linalg.eigvalsh(0.5 * one_side)[-1])
     assert middle == pytest.approx(threshold, rel=0.03)
+
+
+@pytest.mark.parametrize(("after", "worth"), [(0.4, False), (30.0, True), (58.0, False), (float("nan"), False)])
+def test_a_stop_just_after_the_last_or_before_the_next_is_not_advised(after: float, worth: bool) -> None:
+    motion = Segment(2, True, 10.0, 70.0, 0, 0, 10.0, 70.0)
+    assert assess._worth_a_stop(after, motion) is worth

@@ -72,6 +72,38 @@ def short() -> Drive:
     return drive(seed=300, motions=3, motion_s=(20.0, 40.0), odometry=True)
 
 
+def test_shaking_in_motion_is_in_sigma(short: Drive) -> None:
+    """White noise of 0.2 m/s^2/sqrt(Hz) while the rover moves, a hundred times that at its stops."""
+    quiet, imu = short.inertial(), short.work.log.imu
+    dt, ends = float(np.median(np.diff(imu.t))), [m.end for m in short.work.segmentation.motions]
+    moving = np.any([(imu.t > m.start) & (imu.t < m.end) for m in short.work.segmentation.motions], axis=0)
+    at = np.searchsorted(short.smoothed.t, ends) - 1
+    ratios = []
+    for seed in range(6):
+        shaking = 0.2 / np.sqrt(dt) * np.random.default_rng(seed).normal(size=(len(imu.t), 3)) * moving[:, None]
+        found = short.inertial(imu=replace(imu, accel_b=imu.accel_b + shaking))
+        error = short.error(found, short.smoothed.t)[at]
+        ratios += [
+            [float(e @ np.linalg.solve(P, e)) for e, P in zip(error, p.P[at], strict=True)] for p in (found, quiet)
+        ]
+    told, untold = np.array(ratios[0::2]), np.array(ratios[1::2])
+    print(f"NEES {told.mean():.1f}, by the noise at rest {untold.mean():.0f}")
+    assert 0.5 < told.mean() < 6.0
+    assert untold.mean() > 4.0 * told.mean()
+    assert position._shaking([]) == 0.0
+
+
+def test_closing_velocities_that_fit_ask_for_no_shaking() -> None:
+    rng, raised = np.random.default_rng(3), 0
+    for _ in range(100):
+        root = np.tril(rng.normal(0.0, 0.1, (3, 3)))
+        closings = [(root @ rng.normal(size=3), root @ root.T, 40.0) for _ in range(4)]
+        raised += position._shaking(closings) > 0.0
+    assert raised <= 10
+    shaken = [(rng.normal(0.0, 0.3 * np.sqrt(40.0), 3), 1e-4 * np.eye(3), 40.0) for _ in range(200)]
+    assert position._shaking(shaken) == pytest.approx(0.3, rel=0.1)
+
+
 @pytest.mark.parametrize(("literal", "limit"), [(False, 1e-4), (True, 1e-2)])
 def test_true_attitude_and_force_give_the_true_path(short: Drive, literal: bool, limit: float) -> None:
     """A hundred seconds without sensor errors: strapdown to 0.1 mm, the paper's Euler steps to a centimetre."""

@@ -16,6 +16,7 @@ from attest_cli import figures
 from attest_cli.errors import AttestError
 from attest_cli.records import Result
 from attest_cli.report import Report, TrackRow, html
+from attest_cli.report.build import _median
 from attest_cli.report.pages import write_pages
 
 EVIL = '<script>alert(1)</script>"\x1b]0;\u202e'
@@ -164,3 +165,10 @@ def test_a_page_never_leaves_its_folder(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(AttestError, match="is no name of a page"):
         write_pages(result(tmp_path), tmp_path, "light")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_median_over_time_does_not_count_nodes() -> None:
+    t = np.concatenate([np.arange(0.0, 10.0, 0.01), np.arange(10.0, 101.0)])  # dense where the sigma is small
+    assert _median(np.where(t < 10.0, 1.0, t), t) == pytest.approx(50.0, abs=1.0)
+    assert _median(np.array([3.0, np.nan, np.nan]), np.array([0.0, 1.0, 2.0])) == 3.0
+    assert _median(np.array([4.0]), np.array([7.0])) == 4.0

@@ -29,6 +29,15 @@ class Rows:
     H: Array
     sigma: Array
 
+    def within(self, first: int, last: int) -> Rows:
+        """Return those at nodes ``[first, last)``, whose numbers then begin at zero."""
+        cut = self.where((self.node >= first) & (self.node < last))
+        return replace(cut, node=cut.node - first)
+
+    def where(self, use: Bools) -> Rows:
+        """Return some of them."""
+        return Rows(self.node[use], self.t[use], self.r[use], self.H[use], self.sigma[use])
+
 
 class Aid(Protocol):
     """One sensor."""
@@ -202,7 +211,7 @@ class Place:
 class Wheels:
     r"""Velocity in vehicle axes (k, 3) from wheels; sideways and up it is the non-holonomic constraint.
 
-    .. math:: z=v_v+s\,\bar v_x e_x-\mu\times\bar v+\text{slip},\quad v_v=C_{vb}R^Tv
+    .. math:: z=v_v+s\,\bar v_x e_x-\mu\times\bar v+\text{slip},\quad v_v=C_{vb}(R^Tv+\omega\times l)
 
     Scale ``s`` and mounting ``mu`` act on the calm velocity, its mean over two seconds: the IMU feels the body bounce,
     the wheels do not, and a scale fitted to that would be too small.
@@ -214,14 +223,18 @@ class Wheels:
     sigma: Array  # (k, 3)
     R_vb: Array
     seat_sigma: Array  # (3,) rad, how well R_vb is known
+    rate_b: Array  # (k, 3) rad/s
+    lever_b: Array  # (3,) m, from the IMU to where the wheels' velocity is that of the vehicle
     role: str = "odometry"
     robust: bool = True
 
     def rows(self, layout: Layout, at: Trajectory) -> Rows:
         """Return measured minus predicted velocity."""
         R, x = rotation.matrix(at.q[self.node]), at.x[self.node]
-        v_b = np.einsum("kji,kj->ki", R, at.v[self.node])
-        v_v = v_b @ self.R_vb.T
+        v_b, arm = np.einsum("kji,kj->ki", R, at.v[self.node]), np.tile(self.lever_b, (len(R), 1))
+        if "odometry lever arm" in layout:
+            arm = arm + x[:, layout.parts["odometry lever arm"]]
+        v_v = (v_b + np.cross(self.rate_b, arm)) @ self.R_vb.T
         calm = _calm(v_v, self.t)
         scale, seat, slip = (layout.parts[f"odometry {name}"] for name in ("scale", "mounting", "slip"))
         predicted = v_v - np.cross(x[:, seat], calm) + x[:, slip]
@@ -232,6 +245,8 @@ class Wheels:
         H[:, 0, scale.start] = calm[:, 0]
         H[:, :, seat] = rotation.skew(calm)
         H[:, :, slip] = np.eye(3)
+        if "odometry lever arm" in layout:
+            H[:, :, layout.parts["odometry lever arm"]] = self.R_vb @ rotation.skew(self.rate_b)
         return _known(Rows(self.node, self.t, self.velocity_v - predicted, H, self.sigma))
 
     def scaled(self, factor: float) -> Wheels:

@@ -7,44 +7,92 @@ are scaled until the innovations of the forward filter are most likely, one at a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ...maths import sequential
+from ...maths import adjoint, strapdown
 from ...records import Array
-from .aids import Aid, Place, Wheels
+from .aids import Aid, Place, Rows, Wheels
 from .model import Inertial, Linear, Trajectory, linearise, renoised
-from .solve import forward, stack
+from .solve import forward, log_likelihood, pile
 from .states import Layout
 
 WINDOW_NODES = 1500  # enough to tell a noise to a few per cent, and quick
+CHECK_NODES, WIDER, TOO_FAR, MOST_DOUBLINGS = 4000, 2.0, 1.15, 4
+HIDDEN_S, BETWEEN_S = 15.0, 25.0  # outages by which the coloured errors of fixes are checked
 ROUNDS = 2
 STEPS = (4.0, 2.0, 1.41)  # factors tried, coarse to fine
 RANGE = (0.002, 400.0)
+WORTH = 1.0  # log-likelihood that a change has to bring
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A stretch of the log, linearised: what the noise is judged by."""
+
+    form: Layout
+    P0: Array
+    inertial: Inertial
+    at: Trajectory
+    lin: Linear
+    rows: tuple[tuple[Aid, Rows], ...]
+
+    def log_likelihood(self, factors: Mapping[str, float]) -> float:
+        """Return that of the innovations with the sigmas times ``factors``."""
+        P0, lin, placed = self._with(factors)
+        return log_likelihood(P0, lin, pile(placed, len(self.at.q), self.form.size))
+
+    def withheld(self, factors: Mapping[str, float]) -> tuple[float, float]:
+        """Return the mean normalised square, per degree of freedom, and the log-likelihood of fixes in outages,
+        predicted from both sides.
+        """
+        P0, lin, placed = self._with(factors)
+        at = next(k for k, (aid, _) in enumerate(placed) if isinstance(aid, Place))
+        aid, rows = placed[at]
+        hidden = (rows.t - rows.t[0]) % (HIDDEN_S + BETWEEN_S) > BETWEEN_S
+        if not hidden.any():
+            return 1.0, 0.0
+        placed[at] = (aid, rows.where(~hidden))
+        run = forward(P0, lin, pile(placed, len(self.at.q), self.form.size), np.zeros(self.form.size))
+        errors, test = adjoint.smooth(run), rows.where(hidden)
+        r, H = test.r[:, :2], test.H[:, :2]
+        r = r - np.einsum("kij,kj->ki", H, (run.x + errors.d)[test.node])
+        S = H @ errors.P[test.node] @ H.swapaxes(1, 2) + test.sigma[:, :2, None] ** 2 * np.eye(2)
+        squares = np.einsum("ki,ki->k", r, np.linalg.solve(S, r[:, :, None])[:, :, 0])
+        return 0.5 * float(np.mean(squares)), -0.5 * float(np.sum(squares + np.linalg.slogdet(S)[1]))
+
+    def _with(self, factors: Mapping[str, float]) -> tuple[Array, Linear, list[tuple[Aid, Rows]]]:
+        """Return prior, motion and rows with the sigmas times ``factors``."""
+        lin = renoised(self.lin, scaled_inertial(self.inertial, factors), self.form.scaled(factors), self.at)
+        placed = [
+            (aid, replace(rows, sigma=rows.sigma * factors.get(aid.role, 1.0) if _free(aid) else rows.sigma))
+            for aid, rows in self.rows
+        ]
+        return scaled_prior(self.P0, self.form, factors), lin, placed
 
 
 def identify(
     form: Layout, P0: Array, inertial: Inertial, aids: Sequence[Aid], at: Trajectory, free: Sequence[str]
 ) -> dict[str, float]:
-    """Return the factors on the sigmas of ``free`` (``gyro``, ``accelerometer``, roles of aids): coordinate search.
+    """Return the factors on the sigmas of ``free`` (``gyro``, ``accelerometer``, roles of aids, groups of Gauss-Markov
+    states): coordinate search.
 
     The trajectory stays: what changes is how far the filter trusts each sensor. A window of the log is used, where the
     aids are densest.
     """
-    lin = linearise(inertial, form, at)
-    rows = _window(aids, len(at.q))
+    window = _window(form, P0, inertial, aids, at, WINDOW_NODES)
     factors = dict.fromkeys(free, 1.0)
-    best = _likelihood(form, P0, inertial, aids, at, lin, rows, factors)
+    best = window.log_likelihood(factors)
     for step in STEPS:
         for _ in range(ROUNDS):
             moved = False
             for name in free:
                 for way in (step, 1.0 / step):
                     trial = {**factors, name: float(np.clip(factors[name] * way, *RANGE))}
-                    value = _likelihood(form, P0, inertial, aids, at, lin, rows, trial)
-                    if value > best + 1.0:
+                    value = window.log_likelihood(trial)
+                    if value > best + WORTH:
                         best, factors, moved = value, trial, True
                         break
             if not moved:
@@ -52,49 +100,67 @@ def identify(
     return factors
 
 
-def _scaled_inertial(inertial: Inertial, factors: dict[str, float]) -> Inertial:
+def widened(
+    form: Layout, P0: Array, inertial: Inertial, aids: Sequence[Aid], at: Trajectory, factors: Mapping[str, float]
+) -> dict[str, float]:  # fmt: skip
+    """Return the factors with noise wide enough for outages of the fixes.
+
+    The likelihood judges from fix to fix; what wanders more slowly, a coloured error or an IMU that is worse than it
+    looks from one second to the next, shows when a stretch of fixes is hidden. What explains them best is doubled, for
+    as long as they lie too far off.
+    """
+    out = dict(factors)
+    if not any(isinstance(aid, Place) for aid in aids):
+        return out
+    window = _window(form, P0, inertial, aids, at, CHECK_NODES)
+    square, best = window.withheld(out)
+    for _ in range(MOST_DOUBLINGS):
+        if square <= TOO_FAR:
+            break
+        roles = {aid.role for aid in aids}  # white noise is known well enough from fix to fix
+        trials = [{**out, name: factor * WIDER} for name, factor in out.items() if name not in roles]
+        judged = [window.withheld(trial) for trial in trials]
+        k = int(np.argmax([likely for _, likely in judged]))
+        if judged[k][1] < best + WORTH:
+            break
+        out, (square, best) = trials[k], judged[k]
+    return out
+
+
+def scaled_prior(P0: Array, form: Layout, factors: Mapping[str, float]) -> Array:
+    """Return the prior covariance (s, s) with the sigmas of named groups times a factor."""
+    scale = np.ones(form.size)
+    for name in factors.keys() & form.parts.keys():
+        scale[form.parts[name]] = factors[name]
+    return P0 * np.outer(scale, scale)
+
+
+def scaled_inertial(inertial: Inertial, factors: Mapping[str, float]) -> Inertial:
     """Return the IMU with its densities scaled."""
     gyro, accel = factors.get("gyro", 1.0), factors.get("accelerometer", 1.0)
     return replace(inertial, gyro=inertial.gyro * gyro**2, accel=inertial.accel * accel**2)
 
 
-def _scaled_aid(aid: Aid, factors: dict[str, float]) -> Aid:
-    """Return the aid with its sigma scaled."""
-    if isinstance(aid, Place | Wheels) and aid.role in factors:
-        return aid.scaled(factors[aid.role])
-    return aid
+def _free(aid: Aid) -> bool:
+    return isinstance(aid, Place | Wheels)
 
 
-def _window(aids: Sequence[Aid], n: int) -> slice:
-    """Return the nodes to judge by: the longest run of at most ``WINDOW_NODES`` with most fixes and wheels."""
-    if n <= WINDOW_NODES:
-        return slice(0, n)
-    count = np.zeros(n)
-    for aid in aids:
-        if isinstance(aid, Place | Wheels):
-            np.add.at(count, aid.node, 1.0)
-    total = np.concatenate([[0.0], np.cumsum(count)])
-    first = int(np.argmax(total[WINDOW_NODES:] - total[:-WINDOW_NODES]))
-    return slice(first, first + WINDOW_NODES)
-
-
-def _likelihood(
-    form: Layout, P0: Array, inertial: Inertial, aids: Sequence[Aid], at: Trajectory, lin: Linear, rows: slice,
-    factors: dict[str, float],
-) -> float:  # fmt: skip
-    """Return the log-likelihood of the innovations in the window."""
-    noisy = renoised(lin, _scaled_inertial(inertial, factors), at)
-    stacked = stack([_scaled_aid(a, factors) for a in aids], form, at)
-    between = slice(rows.start, rows.stop - 1)
-    part = Linear(noisy.Phi[between], noisy.Q[between], noisy.u[between], noisy.motion)
-    here = replace(stacked, r=stacked.r[rows], H=stacked.H[rows])
-    found: sequential.Pass = forward(P0, part, here, np.zeros(form.size))
-    # whitened rows: their own scale belongs to the likelihood of what was measured
-    log_sigma = 0.0
-    for aid, placed, _, weight in stacked.places:
-        if isinstance(aid, Place | Wheels):
-            use = (placed.node >= rows.start) & (placed.node < rows.stop)
-            log_sigma += float(
-                np.sum(np.log(placed.sigma[use])) - 0.5 * placed.sigma.shape[1] * np.sum(np.log(weight[use]))
-            )
-    return found.log_likelihood() - log_sigma
+def _window(
+    form: Layout, P0: Array, inertial: Inertial, aids: Sequence[Aid], at: Trajectory, most: int
+) -> Window:  # fmt: skip
+    """Return the stretch of at most ``most`` nodes with most fixes and wheels."""
+    n, first = len(at.q), 0
+    if n > most:
+        count = np.concatenate([np.zeros(0, dtype=np.int64), *(a.node for a in aids if isinstance(a, Place | Wheels))])
+        total = np.concatenate([[0], np.cumsum(np.bincount(count, minlength=n))])
+        first = int(np.argmax(total[most:] - total[:-most]))
+    nodes = slice(first, min(n, first + most))
+    between = slice(nodes.start, nodes.stop - 1)
+    lin = linearise(inertial, form, at)
+    motion = strapdown.Motion(*(getattr(lin.motion, f.name)[between] for f in fields(lin.motion)))
+    cut = {name: getattr(inertial, name)[between] for name in ("frozen", "gap", "gyro", "accel")}
+    rows = tuple((aid, aid.rows(form, at).within(nodes.start, nodes.stop)) for aid in aids)
+    return Window(
+        form, P0, replace(inertial, **cut), Trajectory(at.q[nodes], at.x[nodes]),
+        Linear(lin.Phi[between], lin.Q[between], lin.u[between], motion), rows,
+    )  # fmt: skip

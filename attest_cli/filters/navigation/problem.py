@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from ...nodes import Nodes
 from ...nodes.observations import at_stop
 from ...records import Array, Warn
 from .. import Drive
+from ..choice import LIVELY_RAD_S, liveliness
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .model import Inertial, Trajectory, inertial_of
 from .start import heading_offset
@@ -32,8 +33,9 @@ MAD = 1.4826
 SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
 STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
 LONGEST_HOLE_S = 1.0  # odometry is bridged over this
-PLACE_DRIFT, PLACE_DRIFT_S = 0.5, 60.0  # coloured error of fixes: share of their sigma, correlation time
+PLACE_DRIFT, PLACE_DRIFT_S = 0.3, 60.0  # coloured error of fixes: share of their sigma, correlation time
 GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # where nothing is stated
+ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
 LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
 HALF_NODE_S = 0.05
 MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
@@ -44,7 +46,8 @@ MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
     "drone": (np.inf, 15.0),
 }
 LIVELY_WALK = 2e-4  # rad/s^2/sqrt(Hz) at 1 rad/s: a MEMS gyro's bias under lively motion, where no walk is stated
-LIVELY_RAD_S = 0.5  # rms rate in motion from which a log without wheels is taken as hand-held
+MOST_NODES = 40_000  # about 2 GB
+LIVELY_SPACING_S = 0.05  # between nodes of such a log; 0.1 s costs 3 % of accuracy there
 
 Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]
 
@@ -62,12 +65,16 @@ class Problem:
     warnings: tuple[Warn, ...]
 
 
-def assemble(drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str) -> Problem:
+def assemble(
+    drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str, arms: Mapping[str, Array]
+) -> Problem:  # fmt: skip
     """Build the problem about the attitude ``q`` (n, 4) and gyro bias (n, 3) of the indirect filter.
 
-    A heading that counts from the start is turned to where the fixes went.
+    A heading that counts from the start is turned to where the fixes went. Lever arms that ``arms`` does not name are
+    states.
     """
-    places = [_place(drive, nodes, role) for role in ("gps", "position") if role in drive.log.fixes]
+    roles = [role for role in ("gps", "position") if role in drive.log.fixes]
+    places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
     if heading == "relative" and places:
         turn, _ = heading_offset(drive.log.imu, nodes.t, q, np.zeros(3), places[0])
         q = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q)
@@ -87,7 +94,7 @@ def assemble(drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str) ->
         drift = PLACE_DRIFT * float(np.nanmedian(place.sigma))
         states += [State(f"{place.role} drift", 3, drift, PLACE_DRIFT_S), State(f"{place.role} lag", 1, LAG_SIGMA_S)]
         aids.append(place)
-    wheels, told = _wheels(drive, nodes, q, bias)
+    wheels, told = _wheels(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
     if wheels is not None:
         cfg = drive.settings.odometry
         states += [
@@ -95,6 +102,8 @@ def assemble(drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str) ->
             State("odometry slip", 3, SLIP_SHARE * np.array([cfg.sigma_m_s, *[cfg.lateral_sigma_m_s] * 2]), SLIP_S),
         ]  # fmt: skip
         aids.append(wheels)
+    armed = [*roles, *(["odometry"] if wheels is not None else [])]
+    states += [State(f"{role} lever arm", 3, ARM_SIGMA_M) for role in armed if role not in arms]
     form = layout(states)
     x = np.zeros((len(nodes.t), form.size))
     x[:, form.parts["gyro bias"]] = bias
@@ -114,14 +123,17 @@ def motion_of(drive: Drive) -> str:
         return stated
     if {"odometry", "gps", "position"} & drive.log.fixes.keys():
         return "vehicle"
-    return "handheld" if _liveliness(drive) > LIVELY_RAD_S else "rover"
+    return "handheld" if liveliness(drive.log, drive.segmentation) > LIVELY_RAD_S else "rover"
 
 
-def _liveliness(drive: Drive) -> float:
-    """Return the rms rate in motion, rad/s."""
-    moving = ~at_stop(drive.log.imu.t, drive.segmentation)
-    rate = drive.log.imu.gyro_b[moving] - drive.segmentation.bias_b
-    return float(np.sqrt(np.mean(np.sum(rate**2, axis=1)))) if len(rate) else 0.0
+def node_spacing(drive: Drive) -> float:
+    """Return how close nodes are, s: half as close where a hand turns the IMU, further apart in a log of hours."""
+    spacing = drive.settings.smoothing.node_spacing_s
+    if "node_spacing_s" in drive.settings.smoothing.model_fields_set:
+        return spacing
+    if liveliness(drive.log, drive.segmentation) > LIVELY_RAD_S:
+        spacing = LIVELY_SPACING_S
+    return max(spacing, float(drive.log.imu.t[-1] - drive.log.imu.t[0]) / MOST_NODES)
 
 
 def _core_states(drive: Drive) -> list[State]:
@@ -144,7 +156,7 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     bare = np.zeros(n - 1)
     walk = noise.gyro_walk
     if noise.sources["gyro_random_walk"] != "settings":
-        walk = float(np.hypot(walk, LIVELY_WALK * min(1.0, _liveliness(drive))))
+        walk = float(np.hypot(walk, LIVELY_WALK * min(1.0, liveliness(drive.log, drive.segmentation))))
     walks = (walk**2, drive.settings.imu.accel_random_walk**2)
     found = inertial_of(nodes, drive.log.imu, (bare, bare), walks, drive.world.gravity)
     steps, starts = found.steps, found.steps.first[:-1]
@@ -262,7 +274,9 @@ def _prior(form: Layout, at: Trajectory, heading: str, *, placed: bool) -> tuple
     return Trajectory(at.q[:1], at.x[:1]), P
 
 
-def _wheels(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> tuple[Wheels | None, list[Warn]]:
+def _wheels(
+    drive: Drive, nodes: Nodes, q: Array, bias: Array, arm: Array
+) -> tuple[Wheels | None, list[Warn]]:  # fmt: skip
     """Return the wheel speed at the moving nodes, on the IMU's clock, if the drive bears it out."""
     odometry, cfg = drive.log.fixes.get("odometry"), drive.settings
     if odometry is None:
@@ -290,7 +304,8 @@ def _wheels(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> tuple[Wheels |
     own = cfg.odometry
     per = np.sqrt(max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t))), 1e-3)))
     sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
-    return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma), []
+    rate = np.stack([np.interp(nodes.t[at], drive.log.imu.t, drive.log.imu.gyro_b[:, k]) for k in range(3)], axis=1)
+    return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma, rate - bias[at], arm), []
 
 
 def _attitude(nodes: Nodes, q: Array, bias: Array) -> tuple[Array, Array]:
@@ -300,7 +315,7 @@ def _attitude(nodes: Nodes, q: Array, bias: Array) -> tuple[Array, Array]:
     return grid, np.concatenate([q[:1], run_steps(nodes.steps, q[:-1], middle)])
 
 
-def _place(drive: Drive, nodes: Nodes, role: str) -> Place:
+def place_of(drive: Drive, nodes: Nodes, role: str, arm: Array) -> Place:
     """Return the fixes at their nodes, metres east, north and up of the first one."""
     fixes = drive.log.fixes[role]
     known = np.isfinite(fixes.values[:, :2]).all(axis=1)
@@ -308,11 +323,12 @@ def _place(drive: Drive, nodes: Nodes, role: str) -> Place:
     t, values = fixes.t[known], fixes.values[known]
     place = values if role == "position" else _local(values)
     stated = None if fixes.sigma is None else fixes.sigma[known]
-    default = POSITION_SIGMA_M if role == "position" else drive.settings.gps.sigma_m or GPS_SIGMA_M
-    sigma = np.full(place.shape, default) if stated is None else np.maximum(stated, 1e-3)
+    told = getattr(drive.settings, role).sigma_m
+    default = told or (POSITION_SIGMA_M if role == "position" else GPS_SIGMA_M)
+    sigma = np.full(place.shape, default) if stated is None or told else np.maximum(stated, 1e-3)
     node = np.clip(np.searchsorted(nodes.t, t), 1, len(nodes.t) - 1)
     node = np.where(t - nodes.t[node - 1] < nodes.t[node] - t, node - 1, node)
-    return Place(node, t, place - place[0], sigma, np.zeros(3), role)
+    return Place(node, t, place - place[0], sigma, arm, role)
 
 
 def _local(fixes: Array) -> Array:
@@ -327,4 +343,4 @@ def _local(fixes: Array) -> Array:
     return out
 
 
-__all__ = ["Problem", "assemble", "motion_of"]
+__all__ = ["Problem", "assemble", "motion_of", "node_spacing", "place_of"]

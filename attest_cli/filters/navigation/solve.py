@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...maths import kalman, rotation, sequential
-from ...records import Array, Innovations, Ints, Smoothed
+from ...maths import adjoint, kalman, rotation, sequential
+from ...records import Array, Bools, Innovations, Ints, Smoothed
 from .aids import Aid, Rows, student
 from .model import Inertial, Linear, Trajectory, linearise
 from .states import Layout
 
-SETTLED = 1e-2  # of a sigma: the largest move of any state in the last pass
+DATUM = 1e-4  # rad: how well a mean heading is taken as known
+SETTLED, STILL_MOVES = 0.1, 0.3  # of a sigma, any state: when to stop; what the last pass may move
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,17 +29,20 @@ class Stack:
 
 
 def stack(aids: Sequence[Aid], layout: Layout, at: Trajectory) -> Stack:
-    """Put the rows of all aids on the nodes, as close as they go."""
-    n = len(at.q)
+    """Put the rows of all aids on the nodes."""
+    return pile([(aid, aid.rows(layout, at)) for aid in aids], len(at.q), layout.size)
+
+
+def pile(placed: Sequence[tuple[Aid, Rows]], n: int, size: int) -> Stack:
+    """Put rows on ``n`` nodes, as close as they go."""
     used = np.zeros(n, dtype=np.int64)
     places = []
-    for aid in aids:
-        rows = aid.rows(layout, at)
+    for aid, rows in placed:
         first = used[rows.node].copy()
         np.add.at(used, rows.node, rows.r.shape[1])
         places.append((aid, rows, first, student(rows.r, rows.sigma, aid.robust)))
     m = max(1, int(used.max(initial=0)))
-    r, H = np.zeros((n, m)), np.zeros((n, m, layout.size))
+    r, H = np.zeros((n, m)), np.zeros((n, m, size))
     for _, rows, first, weight in places:
         scale = np.sqrt(weight)[:, None] / rows.sigma
         for j in range(rows.r.shape[1]):
@@ -50,7 +54,18 @@ def stack(aids: Sequence[Aid], layout: Layout, at: Trajectory) -> Stack:
 def forward(prior: Array, lin: Linear, rows: Stack, first: Array) -> sequential.Pass:
     """Run the filter over the errors about a trajectory. ``prior`` (s, s) covariance, ``first`` (s,) mean at node 0."""
     n, m = rows.r.shape
-    eye = np.eye(m)
+    return sequential.run(n, first, prior, m, *_model(lin, rows))
+
+
+def log_likelihood(prior: Array, lin: Linear, rows: Stack) -> float:
+    """Return the log-likelihood of the innovations of :func:`forward`."""
+    whitening = sum(float(np.sum(np.log(r.sigma) - 0.5 * np.log(w)[:, None])) for _, r, _, w in rows.places)
+    return sequential.log_likelihood(len(rows.r), np.zeros(len(prior)), prior, *_model(lin, rows)) - whitening
+
+
+def _model(lin: Linear, rows: Stack) -> tuple[sequential.Predict, sequential.Observe]:
+    """Return motion and measurements as the forward loop takes them."""
+    eye = np.eye(rows.r.shape[1])
     measured = np.any(rows.H != 0.0, axis=(1, 2))
 
     def predict(k: int, d: Array) -> tuple[Array, Array, Array]:
@@ -59,7 +74,7 @@ def forward(prior: Array, lin: Linear, rows: Stack, first: Array) -> sequential.
     def observe(k: int, d: Array, _: Array) -> tuple[Array, Array, Array] | None:
         return (rows.r[k] - rows.H[k] @ d, rows.H[k], eye) if measured[k] else None
 
-    return sequential.run(n, first, prior, m, predict, observe)
+    return predict, observe
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,18 +109,19 @@ def solve(
     most : passes at most
     tune : ``(aids, layout, trajectory) -> aids``: noise of the aids from the residuals of the last pass
     """
-    settled, passes = False, 0
+    passes, sigma = 0, None
     while True:
         passes += 1
         lin = linearise(inertial, layout, at)
         rows = stack(aids, layout, at)
         first, P0 = _prior(prior, at)
         found = forward(P0, lin, rows, first)
-        errors = kalman.rts(found.chain)
-        d = found.x + errors.d
-        settled = bool(np.max(np.abs(d) / np.sqrt(np.einsum("kii->ki", errors.P) + 1e-300)) < SETTLED)
-        if passes >= most or settled:
-            return Solution(at, found, errors, rows, passes, settled)
+        d = found.x + adjoint.mean(found)
+        if sigma is None:
+            sigma = np.sqrt(np.einsum("kii->ki", adjoint.smooth(found).P) + 1e-300)
+        move = float(np.max(np.abs(d) / sigma))
+        if passes >= most or move < SETTLED:
+            return Solution(at, found, adjoint.smooth(found), rows, passes, move < STILL_MOVES)
         at = at.moved(d)
         if callable(tune):
             aids = tune(aids, layout, at)
@@ -121,7 +137,36 @@ def _prior(prior: tuple[Trajectory, Array], at: Trajectory) -> tuple[Array, Arra
     return first, kalman.symmetric(J @ P @ J.T)
 
 
-def read(found: Solution, t: Array, bias: slice, errors: kalman.Errors) -> Smoothed:
+def relative_heading(found: Solution, t: Array, moving: Bools) -> Array:
+    r"""Return the variance (n,) rad^2 of the heading if its mean over the motion were known.
+
+    One more state sums the heading's error, :math:`I_{k+1}=I_k+w_k\,e_z^TR_k\delta\theta_k`; at the end it is measured
+    as zero.
+    """
+    run, chain = found.found, found.found.chain
+    n, s = chain.dx.shape
+    up = rotation.matrix(found.smoothed.q)[:, 2]
+    weight = np.diff(t) * moving[1:]
+    weight /= max(float(weight.sum()), 1e-9)
+    Phi, Q = (np.zeros((n - 1, s + 1, s + 1)) for _ in range(2))
+    Phi[:, :s, :s], Q[:, :s, :s] = chain.Phi, chain.Q
+    Phi[:, s, :3], Phi[:, s, s] = weight[:, None] * up[:-1], 1.0
+    P0 = np.zeros((s + 1, s + 1))
+    P0[:s, :s], P0[s, s] = chain.P_pred[0], DATUM**2
+    H = np.zeros((n, run.H.shape[1] + 1, s + 1))
+    H[:, :-1, :s], H[-1, -1, s] = run.H, 1.0 / DATUM
+    measured, eye, zero = np.any(H != 0.0, axis=(1, 2)), np.eye(H.shape[1]), np.zeros(H.shape[1])
+    again = sequential.run(
+        n, np.zeros(s + 1), P0, H.shape[1], lambda k, x: (x, Phi[k], Q[k]),
+        lambda k, *_: (zero, H[k], eye) if measured[k] else None,
+    )  # fmt: skip
+    P = adjoint.smooth(again).P[:, :3, :3]
+    return np.asarray(np.einsum("ki,kij,kj->k", up, P, up))
+
+
+def read(
+    found: Solution, t: Array, bias: slice, relative: Array | None, errors: kalman.Errors
+) -> Smoothed:  # fmt: skip
     """Return attitude, gyro bias, velocity and position of the forward pass corrected by ``errors``."""
     d = found.found.x + errors.d
     moved, passes, settled = found.at.moved(d), found.passes, found.settled
@@ -141,6 +186,7 @@ def read(found: Solution, t: Array, bias: slice, errors: kalman.Errors) -> Smoot
         v=moved.v,
         p=moved.p,
         P_vp=errors.P[:, 3:9, 3:9],
+        heading_relative=relative,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,14 @@ class Layout:
     def prior(self) -> Array:
         """Return the prior variances (size,)."""
         return np.concatenate([np.full(s.size, 1.0) * np.asarray(s.sigma) ** 2 for s in self.states])
+
+    def coloured(self) -> tuple[State, ...]:
+        """Return the groups that wander about zero: Gauss-Markov errors of a sensor."""
+        return tuple(s for s in self.states if s.correlation_s > 0.0)
+
+    def scaled(self, factors: Mapping[str, float]) -> Layout:
+        """Return the layout with the sigmas of named groups times a factor."""
+        return layout(replace(s, sigma=s.sigma * factors.get(s.name, 1.0)) for s in self.states)
 
 
 def layout(states: Iterable[State]) -> Layout:

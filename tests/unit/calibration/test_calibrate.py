@@ -71,7 +71,7 @@ def test_the_wanted_model_is_used_for_fit_noise_and_whiteness() -> None:
 
 
 def test_a_model_that_the_record_does_not_tell_is_refused() -> None:
-    with pytest.raises(AttestError, match="no temperature model"):
+    with pytest.raises(AttestError, match="the log has no temperature; map one"):
         run(at_rest(1, 300.0), model="temperature")
 
 

@@ -100,12 +100,26 @@ def curve(deviation: list[float], width: float = 0.05) -> Allan:
 
 
 def test_bias_instability_is_read_off_the_lowest_known_point() -> None:
-    assert read_instability(curve([4, 2, 1, 2])) == (pytest.approx(1 / 0.664), 3.0, "")
-    assert read_instability(curve([4, 3, 2, 1]))[:2] == (None, None)
-    assert "still falls" in read_instability(curve([4, 3, 2, 1]))[2]
-    assert "too short" in read_instability(curve([4, 1, 2], width=0.9))[2]
+    assert read_instability(curve([4, 2, 1, 2]), 1.0) == (pytest.approx(1 / 0.664), 3.0, "")
+    assert read_instability(curve([4, 3, 2, 1]), 1.0)[:2] == (None, None)
+    assert "still falls" in read_instability(curve([4, 3, 2, 1]), 1.0)[2]
+    assert "too short" in read_instability(curve([4, 1, 2], width=0.9), 1.0)[2]
+    assert "white noise explains" in read_instability(curve([4, 2, 1, 2]), 2.0)[2]
     seen = allan_deviation([still.walking(np.random.default_rng(8), 40_000, 0.1, 0.01, 1e-3)], 0.1, walk_ratio=1e-2)
-    B, tau, _ = read_instability(seen)
+    B, tau, _ = read_instability(seen, 0.01)
     assert pytest.approx(np.sqrt(2 * 0.01 * 1e-3 / np.sqrt(3)) / 0.664, rel=0.15) == B
     assert tau is not None
     assert 5.0 < tau < 60.0
+
+
+@pytest.mark.parametrize(("stops", "seconds", "hz"), [(1, 600.0, 20.0), (3, 2.0, 20.0), (30, 6.0, 20.0)])
+def test_white_noise_has_no_bias_instability(stops: int, seconds: float, hz: float) -> None:
+    """An interval of 95 %: few of sixty records may seem to have one."""
+    found = 0
+    for seed in range(60):
+        rng = np.random.default_rng([seed, stops])
+        rates = [rng.normal(0.0, 1e-3 * np.sqrt(hz), round(seconds * hz)) for _ in range(stops)]
+        pieces = [still.piece(len(x), 1.0 / hz, 60.0 * k, k) for k, x in enumerate(rates)]
+        N = fit_noise(pieces, rates, 1, across=True).N
+        found += read_instability(allan_deviation(rates, 1.0 / hz), N)[0] is not None
+    assert found <= 5

@@ -223,3 +223,23 @@ def test_a_yaw_alignment_trusts_the_samples_that_claim_to_be_sure(rng: np.random
 def test_noise_of_the_reference_is_told(rng: np.random.Generator) -> None:
     found = evaluate(RESULT, replace(RESULT, q=noisy(RESULT.q, 1e-3, rng)), Options())
     assert found.scatter == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_heading_that_counts_from_the_start_is_turned_by_what_it_knows_best() -> None:
+    """A random walk from the start with the sigma of one: a turn fitted to all of it would spoil the start."""
+    nees, warned = [], 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        step = np.radians(3.0) / np.sqrt(T[-1]) * np.sqrt(0.02)
+        drift = np.concatenate([[0.0], np.cumsum(rng.normal(0.0, step, T.size - 1))])
+        q = np.stack([np.cos(0.5 * drift), 0.0 * drift, 0.0 * drift, np.sin(0.5 * drift)], axis=1)
+        track = replace(RESULT, q=rotation.multiply(q, RESULT.q), heading="relative")
+        P = np.tile(np.diag([np.radians(1.0) ** 2, np.radians(1.0) ** 2, 0.0]), (T.size, 1, 1))
+        P[:, 2, 2] = 1e-8 + step**2 * np.arange(T.size)
+        claims = Claims(track.stamps_ns, P, np.tile(np.eye(3), (T.size, 1, 1)), np.full(T.size, np.nan), full=True)
+        found = evaluate(replace(track, claims=claims), without(RESULT, "position"), Options())
+        assert found.attitude is not None
+        nees.append(found.attitude.nees["heading"].mean)
+        warned += found.verdict == "WARN"
+    assert np.mean(nees) < 1.6
+    assert warned <= 3

@@ -11,6 +11,8 @@ from attest_cli import figures
 from attest_cli.figures import frame, gyro_bias, innovations, lists, overview, plan, rows, separation, sigma, style
 from attest_cli.figures.drive import Drive
 from attest_cli.figures.page import Marks, Page, Shape
+from attest_cli.records import Innovations
+from attest_cli.report.build import _innovation_checks
 
 SHORT = (15.0, 90.0, 12.0)
 ONE_STOP = {"durations": (100.0,)}
@@ -108,18 +110,35 @@ def measured(nis, dof=3):
     return innovations.Found("sun", z, nis, np.ones(nis.size, dtype=bool), np.ones(nis.size, dtype=int), dof)
 
 
-def test_innovations_are_judged_by_share_and_by_mean():
+def test_innovations_are_judged_by_their_mean():
     rng = np.random.default_rng(5)
     for count in (8, 60, 1000, 40000):
-        assert innovations.consistent(measured(rng.chisquare(3, count)))
-    assert not innovations.consistent(measured(1.5 * rng.chisquare(3, 1000)))
-    assert not innovations.consistent(measured(0.5 * rng.chisquare(3, 1000)))
-    assert innovations.consistent(measured(1.1 * rng.chisquare(3, 40000)))  # sure, but slight
-    husky = measured([0.1, 0.1, 0.1, 0.5, 0.6, 0.7, 0.8, 0.9])
-    assert innovations.share_inside(husky) == 5 / 8
-    assert innovations.status(husky) == "WARN"
-    mixed = measured([0.01, 20.0] * 40 + [1.0, 2.0] * 60 + [0.5] * 60)
-    assert innovations.status(mixed) == "WARN"
+        assert innovations.status(measured(rng.chisquare(3, count))) == "PASS"
+    assert innovations.status(measured(1.5 * rng.chisquare(3, 1000))) == "WARN"
+    assert innovations.status(measured(5.0 * rng.chisquare(3, 1000))) == "FAIL"
+    careful = measured(0.3 * rng.chisquare(3, 1000))
+    assert innovations.status(careful) == "PASS"  # claimed too large: sigma is careful
+    assert "smaller than claimed" in innovations.titles(careful)[0]
+    assert innovations.status(measured(1.1 * rng.chisquare(3, 40000))) == "PASS"  # sure, but slight
+    tails = measured([0.01] * 60 + [3.0] * 60 + [8.0] * 20)
+    assert "inside the 95 % interval" in innovations.titles(tails)[0]
+
+
+@pytest.mark.parametrize("factor", [0.2, 0.63, 1.0, 1.3, 2.0, 5.0])
+@pytest.mark.parametrize("rejected", [0, 5, 300])
+def test_the_page_of_a_sensor_and_the_report_say_the_same(factor, rejected):
+    """Of the same innovations: the worst of the report's checks is the mark on the page."""
+    rng, n = np.random.default_rng(7), 400
+    used = np.arange(n) >= rejected
+    nis = np.where(used, factor * rng.chisquare(2, n), 40.0)
+    z = np.sqrt(nis / 2)[:, None] * np.ones(2)
+    page = innovations.status(innovations.Found("sun", z, nis, used, np.ones(n, dtype=int), 2))
+    role, t = np.full(n, "sun"), np.arange(float(n))
+    checks = _innovation_checks(
+        Innovations(role, t, t.astype(int), np.full(n, 2), nis, used, np.pad(z, ((0, 0), (0, 1))))
+    )
+    statuses = [check["status"] for check in checks]
+    assert page == next(s for s in ("FAIL", "WARN", "PASS") if s in statuses)
 
 
 def test_innovations_shade_stops_only(make):
@@ -228,3 +247,21 @@ def test_pages_of_a_result_without_a_part_of_its_report(make, key):
     result = make(durations=SHORT)
     report = {k: v for k, v in result.report.items() if k != key}
     assert len(dict(figures.pages(dataclasses.replace(result, report=report)))) >= 5
+
+
+def test_a_filter_that_takes_the_vehicle_as_level_speaks_of_heading(make):
+    result = make(durations=SHORT, heading="relative")
+    methods = {"filter": "heading", "smoother": "rts", "not_estimated": ["roll", "pitch"]}
+    drive = Drive(changed(result, {"methods": methods}))
+    title = overview.titles(drive)[0]
+    assert title.startswith("Relative heading known to ")
+    assert "roll and pitch taken as level" in title
+    assert "tilt" not in title.lower()
+    words = [name for _, name, _ in overview.key_numbers(drive)]
+    assert "heading σ, median" in words
+    assert "tilt σ, median" not in words
+    page = overview.draw(changed(make(heading="relative", position="none"), {"methods": methods}))
+    assert "heading σ" in texts(page)
+    assert "tilt σ" not in texts(page)
+    usual = overview.titles(Drive(result))[0]
+    assert usual.startswith("Tilt known to ")

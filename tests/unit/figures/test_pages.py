@@ -251,7 +251,8 @@ def test_innovations_page_has_every_measurement(make):
     ]
     assert (crosses.edge, data.rejected > 1) == ("limit", True)
     assert f"{data.rejected} of {data.nis.size} rejected" in page.title
-    assert innovations.status(data) == "PASS"
+    assert data.rejected > 0.01 * data.nis.size
+    assert innovations.status(data) == "WARN"  # as the report says of more than a hundredth
 
 
 def test_rejected_sensor_fails_its_page(make):

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from support.barshan import EACH_MINUTE, PAPER_MODEL, Course, course, largest_deg, passes, turned
+from support.barshan import EACH_MINUTE, PAPER_MODEL, START, Course, course, largest_deg, passes, turned
 
+from attest_cli.errors import AttestError
 from attest_cli.filters import heading
 from attest_cli.filters.heading import BiasModel, bias_steps, motion_steps, six_state_steps
 from attest_cli.maths import kalman, rotation
 from attest_cli.records import Calibrated, Log
-from attest_cli.smoothers import SMOOTHERS
+from attest_cli.smoothers import SMOOTHERS, backward_estimate
 
 Array = NDArray[np.float64]
 VECTOR = Path(__file__).resolve().parents[2] / "vectors" / "others" / "barshan_kf.npz"
@@ -156,12 +157,30 @@ def test_the_walk_is_as_stated_unless_the_stops_contradict_it(rng: np.random.Gen
 def test_errors_of_the_parameters_grow_by_their_law() -> None:
     t, model = np.array([0.0, 600.0]), BiasModel(0.153, -0.264, 338.4)
     grown = 600.0 - 338.4 * (1.0 - math.exp(-600.0 / 338.4))
-    measured = heading.parameter_ramps(t, model, 0.1, (0.0, 1.0, True))
-    assumed = heading.parameter_ramps(t, model, 0.1, (0.0, 1.0, False))
+    measured, both, assumed = (heading.parameter_ramps(t, model, 0.1, (0.0, 1.0, w)) for w in (0.0, 0.5, 1.0))
     assert np.allclose(measured[1], [0.1 * 0.153 * grown, -0.1 * 0.264 * grown])
     assert np.allclose(assumed[1], [0.1 * 0.153 * grown, -0.1 * 0.264 * 600.0])
+    assert np.allclose(both, 0.5 * (measured + assumed))
     assert not measured[0].any()
-    assert not heading.parameter_ramps(t, BiasModel(), 0.1, (0.0, 1.0, True)).any()
+    assert not heading.parameter_ramps(t, BiasModel(), 0.1, (0.0, 1.0, 0.0)).any()
+
+
+@pytest.mark.parametrize(("share", "weight"), [(0.0, 1.0), (0.15, 0.5), (10.0, 0.0)])
+def test_a_stop_at_the_start_and_the_model_count_by_their_variance(share: float, weight: float) -> None:
+    settings = {**PAPER_MODEL, "parameter_sigma": share, "form": "six-state"}
+    of = course(3, duration_s=60.0, told=START, heading_settings=settings, walk=1e-9)
+    s, rate = heading.samples(of.drive), of.drive.log.imu.gyro_b[:, 2]
+    model, _ = heading._bias_model(of.drive, s, rate)
+    first, sigma, w = heading._start(of.drive, s, rate, model)
+    own = of.drive.noise.gyro_density / math.sqrt(10.0)
+    prior = max(share * abs(model.c2), heading.LEAST_BIAS_RAD_S)
+    assert w == pytest.approx(own**2 / (own**2 + prior**2), abs=0.02)
+    assert (w > 0.99) if weight == 1.0 else (w < 0.01) if weight == 0.0 else 0.0 < w < 0.3
+    assert sigma == pytest.approx(max((1.0 - w) * own, heading.LEAST_BIAS_RAD_S), rel=0.1)
+    free = of.drive.settings.heading.model_copy(update={"parameter_sigma": 1e6})
+    alone = replace(of.drive, settings=of.drive.settings.model_copy(update={"heading": free}))
+    measured, _, _ = heading._start(alone, s, rate, model)
+    assert first == pytest.approx(w * model.c2 + (1.0 - w) * measured, rel=1e-6)
 
 
 # --- drives
@@ -250,6 +269,26 @@ def test_a_vehicle_that_leans_is_told() -> None:
     assert "not-level" in [w.code for w in found.warnings]
     tilt = np.degrees(np.sqrt(SMOOTHERS["none"](found.run).P[-1, 0, 0]))
     assert 5.0 < tilt < 15.0
+
+
+@pytest.mark.parametrize("lean", [0.8, 2.0, np.pi])
+def test_a_vehicle_that_is_not_level_at_all_is_refused(lean: float) -> None:
+    """Also one that lies on its back for a third of the drive: a lean beyond 90 degrees is none of less."""
+
+    def tumbling(log: Log) -> Log:
+        over = (log.imu.t > 80.0)[:, None]
+        R = rotation.matrix(rotation.exp_quaternion(np.array([lean, 0.0, 0.0])))
+        return replace(log, imu=replace(log.imu, accel_b=np.where(over, log.imu.accel_b @ R.T, log.imu.accel_b)))
+
+    with pytest.raises(AttestError, match="deg rms, which is not level"):
+        heading.forward(short(stops=True, told=EACH_MINUTE, change=tumbling).drive)
+
+
+def test_from_the_end_no_heading_is_known_and_rounding_draws_none() -> None:
+    of = course(1999, stops=True)
+    q, _, P = backward_estimate(heading.forward(of.drive).run)
+    assert np.isnan(q).all()
+    assert np.isnan(P).all()
 
 
 @pytest.mark.parametrize("form", ["six-state", "indirect"])

@@ -209,3 +209,14 @@ def test_run_steps_takes_every_interval_from_its_own_start(rng: np.random.Genera
             )
             q = rotation.multiply(q, rotation.exp_quaternion(v[0]))
             assert np.allclose(found[j], q, atol=1e-14)
+
+
+def test_held_intervals_are_left_out_and_change_no_other(rng: np.random.Generator) -> None:
+    steps, bias = random_steps(rng, [3, 8, 0, 5, 2]), rng.normal(size=(5, 3))
+    held = np.array([False, True, False, True, False])
+    whole, found = preintegrate(steps, bias, N_R, N_W), preintegrate(steps, bias, N_R, N_W, held)
+    for name in ("dq", "psi", "Phi", "Q"):
+        assert np.allclose(getattr(found, name)[~held], getattr(whole, name)[~held], rtol=1e-13, atol=1e-20)
+    assert np.array_equal(found.span, whole.span)
+    assert np.array_equal(found.dq[held], [[1.0, 0.0, 0.0, 0.0]] * 2)
+    assert not found.psi[held].any()

@@ -155,3 +155,23 @@ def test_wrap_leaves_the_angle_on_the_circle(angle: float) -> None:
     assert -np.pi <= found < np.pi
     assert np.cos(found - angle) == pytest.approx(1.0, abs=1e-12)
     assert np.sin(found - angle) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_long_arrays_give_what_their_rows_give() -> None:
+    rng = np.random.default_rng(8)
+    n = 2 * rotation.ROWS + 17
+    p, q = (rotation.normalise(rng.normal(size=(n, 4))) for _ in range(2))
+    v = rng.normal(size=(n, 3))
+    cases = [
+        (rotation.multiply, (p, q)), (rotation.multiply, (p, q[0])), (rotation.multiply, (p[:1], q)),
+        (rotation.rotate, (p, v)), (rotation.rotate, (p[0], v)), (rotation.cross, (v, v[::-1])),
+        (rotation.matrix, (p,)), (rotation.log_quaternion, (p,)), (rotation.exp_quaternion, (v,)),
+        (rotation.exp_quaternion, (1e-3 * v,)), (rotation.roll_pitch_yaw, (p,)), (rotation.normalise, (p,)),
+    ]  # fmt: skip
+    for function, arrays in cases:
+        whole = function(*arrays)
+        for k in (0, rotation.ROWS - 1, rotation.ROWS, n - 1):
+            row = function(*(a[k : k + 1] if len(a) == n else a for a in arrays))
+            assert np.allclose(whole[k], row[0], rtol=0, atol=1e-15), function.__name__
+    stacked = rotation.matrix(p.reshape(1, n, 4))
+    assert np.allclose(stacked[0], rotation.matrix(p), rtol=0, atol=1e-15)

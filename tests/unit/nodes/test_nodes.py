@@ -13,9 +13,11 @@ from support.drives import Job, job, simulated
 from attest_cli.filters import indirect
 from attest_cli.maths import rotation
 from attest_cli.maths.propagation import transition
-from attest_cli.nodes import FROZEN_DENSITY, STOP_NODE_S, _grid, _inside
+from attest_cli.nodes import FROZEN_DENSITY, NEARNESS, STOP_NODE_S, _grid, _inside
 from attest_cli.records import Imu, Log
 from attest_cli.simulate import RoverOptions
+from attest_cli.smoothers import SMOOTHERS
+from attest_cli.track import full_rate, world_variance
 
 Array = NDArray[np.float64]
 OPTIONS = RoverOptions(seed=41, duration_s=90.0, motions=2, compass=True, sun_always=True)
@@ -248,3 +250,36 @@ def test_node_filter_is_the_per_sample_filter() -> None:
     assert turn < 1e-9
     assert drift < 1e-5
     assert np.abs((run.chain.P - P) / (sigma[:, :, None] * sigma[:, None])).max() < 1e-5
+
+
+def test_long_motions_of_long_logs_have_coarser_nodes(work: Job) -> None:
+    stops = [(s.used_start, s.used_end) for s in work.segmentation.stops]
+    epochs = np.array([40.0])
+    even, graded = (_grid(work.log.imu.t, stops, stops, [], epochs, 0.1, coarsest) for coarsest in (0.0, 0.5))
+    assert len(graded) < 0.6 * len(even)
+    must = np.sort(np.concatenate([np.ravel(stops), epochs]))
+    assert all(np.abs(graded - e).min() < 1e-6 for e in must)
+    middle, width = 0.5 * (graded[1:] + graded[:-1]), np.diff(graded)
+    moving = ~_inside(middle, stops)
+    away = np.abs(middle[:, None] - must).min(axis=1)
+    limit = np.clip(away / NEARNESS, 0.1, 0.5)
+    assert np.all(width[moving] <= 1.05 * limit[moving])
+    assert np.array_equal(_grid(work.log.imu.t, stops, stops, [], epochs, 0.1, 0.1), even)
+
+
+def test_coarser_nodes_change_neither_attitude_nor_sigma(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = RoverOptions(seed=5, duration_s=240.0, motions=1, rate_hz=50.0)
+    found = []
+    for least in (10**9, 1):  # nodes at their closest, and as far apart as they may be
+        monkeypatch.setattr("attest_cli.nodes.PAGE_NODES", least)
+        work = simulated(options)
+        smoothed = SMOOTHERS["two-filter"](indirect.run(work.nodes, work.start))
+        t, q = work.log.imu.t, full_rate(work.nodes, smoothed, work.log.imu.t)
+        variance = np.einsum("kii->ki", world_variance(smoothed.q, smoothed.P))
+        at = np.stack([np.interp(t, work.nodes.t, variance[:, i]) for i in range(3)], axis=1)
+        found.append((len(work.nodes.t), q, np.sqrt(at)))
+    (many, q, sigma), (few, other_q, other_sigma) = found
+    assert few < 0.4 * many
+    apart = rotation.log_quaternion(rotation.multiply(rotation.conjugate(q), other_q))
+    assert np.degrees(np.abs(apart).max()) < 1e-4
+    assert np.abs(other_sigma / sigma - 1.0).max() < 0.01

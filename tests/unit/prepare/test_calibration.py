@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.calibrations import bias, calibration
+from support.calibrations import bias, calibration, rest
 
 from attest_cli.maths import rotation
 from attest_cli.prepare import prepare
@@ -16,7 +16,7 @@ from attest_cli.prepare.calibration import LEAST_SIGMA, TURN_ON, TURN_ON_ACCEL
 from attest_cli.records import COLUMNS, Array, Channel, Log, Recording
 from attest_cli.settings import Settings
 from attest_cli.settings.calibration import CalibrationFile
-from attest_cli.writers.calibration import write_calibration
+from attest_cli.writers.calibration import describe, write_calibration
 
 T0 = 1_780_308_000_000_000_000
 BIAS = (0.002, -0.003, 0.001)
@@ -178,3 +178,21 @@ def test_another_rate_is_told(tmp_path: Path) -> None:
     (told,) = (w for w in log.warnings if w.code.startswith("calibration"))
     assert "made at 200 Hz, this log has 100 Hz" in told.message
     assert not [w for w in log_of(tmp_path, calibration(CONSTANT), imu()).warnings if w.code.startswith("calibration")]
+
+
+@pytest.mark.parametrize(("K", "bound", "known"), [(None, 2e-4, False), (None, 1e-5, True), (3e-4, 6e-4, True)])
+def test_a_walk_that_a_short_record_could_not_see_is_left_to_the_drive(
+    tmp_path: Path, K: float | None, bound: float, known: bool
+) -> None:
+    noise = {"random_walk": K, "random_walk_95": (0.0 if K is None else 1e-4, bound)}
+    found = log_of(tmp_path, calibration(CONSTANT, noise, source={"t0_ns": T0}), imu()).calibrated
+    assert found is not None
+    assert ("gyro_random_walk" in found.noise) is known
+
+
+@pytest.mark.parametrize(("seconds", "known"), [(8.0, False), (300.0, True)])
+def test_eight_seconds_at_rest_are_too_short_for_a_walk(tmp_path: Path, seconds: float, known: bool) -> None:
+    source = tmp_path / "still.csv"
+    source.write_text("t", encoding="utf-8")
+    file = describe(rest(seconds, hz=100.0), [source], "imu")
+    assert [axis.knows_walk for axis in file.axes] == [known] * 3

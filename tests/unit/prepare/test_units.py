@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -118,6 +120,47 @@ def test_at_rest_nothing_is_told_and_radians_are_assumed_aloud(rng: np.random.Ge
             units.gyroscope(channel("gyro", gyro, stated), COLUMNS["gyro"], T, accel, warnings), gyro
         )
         assert [w.code for w in warnings] == codes
+
+
+@pytest.mark.parametrize("stated", ["", "rad/s"])
+def test_beside_an_accelerometer_in_g_a_gyro_at_rest_is_not_guessed(rng: np.random.Generator, stated: str) -> None:
+    still = channel("imu", np.hstack([rng.normal(0.5, 0.1, (N, 3)), rng.normal([0.0, 0.0, 1.0], 0.002, (N, 3))]), "")
+    still = replace(still, units=dict.fromkeys(COLUMNS["gyro"], stated))
+    warnings: list[Warn] = []
+    accel = units.accelerometer(still, COLUMNS["accel"], T, G, warnings)
+    with pytest.raises(AttestError, match="rad/s or deg/s") as refused:
+        units.gyroscope(still, COLUMNS["gyro"], T, accel, warnings)
+    assert "--columns" in refused.value.hint
+
+
+def test_beside_an_accelerometer_in_g_a_unit_that_is_stated_in_degrees_holds(rng: np.random.Generator) -> None:
+    still = channel("imu", np.hstack([rng.normal(0.5, 0.1, (N, 3)), rng.normal([0.0, 0.0, 1.0], 0.002, (N, 3))]), "")
+    still = replace(still, units=dict.fromkeys(COLUMNS["gyro"], "deg/s"))
+    warnings: list[Warn] = []
+    accel = units.accelerometer(still, COLUMNS["accel"], T, G, warnings)
+    found = units.gyroscope(still, COLUMNS["gyro"], T, accel, warnings)
+    np.testing.assert_allclose(np.degrees(found[:, 0]), still.values["gyro_x"])
+
+
+@pytest.mark.parametrize("stated", ["", "rad/s"])
+def test_a_rate_that_no_gyro_has_in_radians_is_in_degrees(rng: np.random.Generator, stated: str) -> None:
+    accel = np.array([0.0, 0.0, G]) + rng.normal(0, 0.02, (N, 3))
+    gyro = np.tile([0.0, 0.0, 90.0], (N, 1)) + rng.normal(0, 0.1, (N, 3))  # a table that turns: gravity stays
+    warnings: list[Warn] = []
+    found = units.gyroscope(channel("gyro", gyro, stated), COLUMNS["gyro"], T, accel, warnings)
+    np.testing.assert_allclose(np.degrees(found), gyro)
+    assert [w.code for w in warnings] == ["unit-contradicted" if stated else "unit-guessed"]
+
+
+def test_raw_counts_are_refused(rng: np.random.Generator) -> None:
+    gyro, accel = moving(rng)
+    for scale, sensor, says in ((131.0, "gyro", "131"), (16.4, "gyro", "16.38")):
+        with pytest.raises(AttestError, match=f"raw counts: they agree with {says}"):
+            units.gyroscope(channel(sensor, np.degrees(gyro) * scale), COLUMNS["gyro"], T, accel, [])
+    with pytest.raises(AttestError, match=r"raw counts: .* is no rate"):
+        units.gyroscope(channel("gyro", rng.normal(3e4, 9.0, (N, 3))), COLUMNS["gyro"], T, accel, [])
+    with pytest.raises(AttestError, match="raw counts, or another unit"):
+        units.accelerometer(channel("accel", accel * 1670.0), COLUMNS["accel"], T, G, [])
 
 
 def test_a_wheel_that_spins_faster_than_the_windows_tells_nothing(rng: np.random.Generator) -> None:

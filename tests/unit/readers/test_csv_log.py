@@ -137,6 +137,23 @@ def test_a_cut_last_row_is_skipped_and_said(load: Load) -> None:
     assert [w.code for w in recording.warnings] == ["ragged-rows"]
 
 
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+@pytest.mark.parametrize("odd", [b"\x85", b"\x0b", b"\x0c", b"\x1c", "\u2028".encode()])
+def test_no_other_character_ends_a_line(load: Load, odd: bytes, end: bytes) -> None:
+    text = end.join([b"# tom " + odd + b" drove", b"", HEADER.encode(), *rows().encode().split(b"\n"), b""])
+    assert len(only(load(text))[0]) == 5
+
+
+def test_a_ragged_row_that_is_no_utf8_is_skipped_and_said_as_any_other(
+    load: Load, capfd: pytest.CaptureFixture[str]
+) -> None:
+    text = f"{HEADER}\n{rows(300)}\n".encode() + b"\xfe\xff grad,1\n" + rows(2).encode() + b"\n"
+    recording = load(text)
+    assert recording.channels[0].stamps_ns.size == 302
+    assert [w.code for w in recording.warnings] == ["ragged-rows"]
+    assert capfd.readouterr().err == ""
+
+
 def test_rows_without_a_time_are_dropped_and_said(load: Load) -> None:
     recording = load(f"{HEADER}\n{rows(3)}\n,0.1,-0.2,0.3,0.01,0.02,9.81\n")
     assert recording.channels[0].stamps_ns.size == 3
@@ -165,8 +182,7 @@ def test_dates_are_stamps(load: Load) -> None:
         (f"{HEADER}\n" + rows().replace("0.1", "broken"), "holds text"),
         ("\x00\x01\x02 binary", "neither"),
         ("t,gx,gy,gz,ax,ay,az\n" + "\n".join(f"{k * 500},0,0,0,0,0,9.8" for k in range(60)), "unit of time"),
-        (",Accelerometer,,,Gyroscope,,\n,X,Y,Z,X,Y,Z\n0.1,1,2,3,4,5,6\n", "several rows"),
-        ("timestamp tx ty tz qx qy qz qw\n0.1 0 0 0 0 0 0 1\n", "not a table"),
+        (",Accelerometer,,,Gyroscope,,\n,X,Y,Z,X,Y,Z\n0.1,1,2,3,4,5,6\n", "no time column"),
     ],
 )
 def test_what_is_no_log_is_refused_in_one_line_that_names_the_file(load: Load, text: str, says: str) -> None:

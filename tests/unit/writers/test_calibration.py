@@ -16,7 +16,8 @@ import yaml
 from support import calibrations
 
 from attest_cli.calibration.records import Accelerometer, Calibration, Magnetometer
-from attest_cli.settings import load_settings
+from attest_cli.prepare.calibration import calibrated
+from attest_cli.settings import Settings, load_settings
 from attest_cli.settings.calibration import read_calibration
 from attest_cli.writers.calibration import describe, write_calibration, write_kalibr
 
@@ -112,11 +113,21 @@ def test_kalibr_gets_floats_of_all_digits_and_attest_reads_them_back(found: Cali
     assert imu.gyro_random_walk == data["gyroscope_random_walk"]
 
 
-def test_a_walk_that_was_not_seen_stands_with_its_bound_or_not_at_all(found: Calibration, tmp_path: Path) -> None:
-    for bound in (3e-5, math.inf):
-        axes = [replace(a, noise=replace(a.noise, K=None, K_interval=(0.0, bound))) for a in found.axes]
-        data = kalibr(replace(found, axes=(axes[0], axes[1], axes[2])), tmp_path / "imu.yaml")
-        assert data.get("gyroscope_random_walk") == (pytest.approx(bound) if bound < 1.0 else None)
+@pytest.mark.parametrize("bound", [3e-5, 2e-4, math.inf])
+def test_kalibr_gets_the_walk_that_another_drive_is_filtered_with(
+    found: Calibration, tmp_path: Path, bound: float
+) -> None:
+    axes = [replace(a, noise=replace(a.noise, K=None, K_interval=(0.0, bound))) for a in found.axes]
+    short = replace(found, axes=(axes[0], axes[1], axes[2]))
+    data = kalibr(short, tmp_path / "imu.yaml")
+    write_calibration(describe(short, [], "imu"), tmp_path / "c.toml")
+    settings = Settings.model_validate({"imu": {"calibration": tmp_path / "c.toml"}})
+    used = calibrated(calibrations.log_at_rest(), settings).calibrated
+    assert used is not None
+    assert data.get("gyroscope_random_walk") == used.noise.get("gyro_random_walk")
+    assert ("gyroscope_random_walk" in data) is (bound < 1e-4)
+    lines = (tmp_path / "imu.yaml").read_text(encoding="utf-8").splitlines()
+    assert math.isinf(bound) or f"95 % bound {bound:.3g}" in next(x for x in lines if "gyroscope_random_walk" in x)
 
 
 def test_a_power_of_ten_is_a_number_to_yaml(found: Calibration, tmp_path: Path) -> None:

@@ -1,0 +1,196 @@
+"""From a drive to its navigation: begin with the indirect filter, find noise, clocks and lever arms, then iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...maths import kalman, rotation
+from ...nodes import Nodes
+from ...records import Array, FilterRun
+from ...settings import Settings
+from .. import Drive, Forward, indirect
+from . import solve
+from .aids import Place, Wheels
+from .identify import identify, scaled_inertial, scaled_prior, widened
+from .model import Inertial, Trajectory
+from .problem import Problem, assemble, node_spacing
+from .states import Layout
+
+FIRST_PASSES, AUTO_PASSES = 5, 9
+ROUNDS = 4  # of finding how late the fixes are, and where their antenna is
+LEAST_LAG_S = 2e-3
+SURE = 3.0  # sigmas from which a lag or an arm is believed
+SHOWN = 0.5  # of its prior sigma: what a drive must leave of an axis of a lever arm that it shows
+SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to begin with, from which it is found
+
+
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise."""
+
+    lags: Mapping[str, float] = field(default_factory=dict)
+    arms: Mapping[str, Array] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Navigated:
+    """A drive solved: where it ``begun``, its ``nodes``, the ``problem``, the solution ``found``, and what was
+    ``learnt``.
+    """
+
+    begun: Forward
+    nodes: Nodes
+    problem: Problem
+    found: solve.Solution
+    learnt: Learnt
+
+
+def navigate(drive: Drive) -> Navigated:
+    """Solve a drive: its nodes lie also at fixes whose values are not known."""
+    learnt = Learnt(arms=_stated_arms(drive))
+    done = _round(drive, learnt, None)
+    for _ in range(ROUNDS - 1):
+        lags, arms = _lags(done.problem, done.found), _hidden_arms(done.problem, done.found)
+        if not lags and not arms:
+            break
+        learnt = done.learnt
+        total = {role: learnt.lags.get(role, 0.0) + lags.get(role, 0.0) for role in {*learnt.lags, *lags}}
+        done = _round(drive, replace(learnt, lags=total, arms={**learnt.arms, **arms}), done)
+    return done
+
+
+def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
+    """Solve a drive with what was learnt, from where the round ``before`` ended."""
+    late = replace(shifted(drive, learnt.lags), settings=_spaced(drive))
+    begun = indirect.forward(late, _epochs(late))
+    nodes = begun.nodes
+    assert nodes is not None  # the indirect filter runs over nodes
+    q, bias = _smoothed(begun.run)
+    problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms)
+    if before is not None:
+        problem = replace(problem, at=_resumed(before, problem.layout, nodes.t))
+    problem, factors = _with_noise(drive, problem, learnt.factors, begin=before is None)
+    found = _solved(drive, problem)
+    return Navigated(begun, nodes, problem, found, replace(learnt, factors=factors))
+
+
+def _spaced(drive: Drive) -> Settings:
+    """Return the settings with the nodes as close as the motion asks."""
+    smoothing = drive.settings.smoothing.model_copy(update={"node_spacing_s": node_spacing(drive)})
+    return drive.settings.model_copy(update={"smoothing": smoothing})
+
+
+def _epochs(drive: Drive) -> Array:
+    """Return the times of the fixes: they are nodes."""
+    return np.concatenate([np.zeros(0), *(f.t for role, f in drive.log.fixes.items() if role in {"gps", "position"})])
+
+
+def shifted(drive: Drive, lags: Mapping[str, float]) -> Drive:
+    """Return the drive with its fixes on the clock of the IMU."""
+    fixes = {role: replace(f, t=f.t - lags.get(role, 0.0)) for role, f in drive.log.fixes.items()}
+    return replace(drive, log=replace(drive.log, fixes=fixes))
+
+
+def _resumed(before: Navigated, form: Layout, t: Array) -> Trajectory:
+    """Return an earlier round's trajectory at other nodes, and in another layout."""
+    old, layout, at = before.nodes.t, before.problem.layout, before.found.smoothed
+    left = np.clip(np.searchsorted(old, t, side="right") - 1, 0, len(old) - 2)
+    share = ((t - old[left]) / (old[left + 1] - old[left]))[:, None]
+    turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(at.q[left]), at.q[left + 1]))
+    q = rotation.normalise(rotation.multiply(at.q[left], rotation.exp_quaternion(share * turn)))
+    x = np.zeros((len(t), form.size))
+    for name, part in form.parts.items():
+        if name in layout:
+            held = at.x[:, layout.parts[name]]
+            x[:, part] = held[left] + share * (held[left + 1] - held[left])
+    return Trajectory(q, x)
+
+
+def _with_noise(
+    drive: Drive, problem: Problem, factors: Mapping[str, float], *, begin: bool
+) -> tuple[Problem, Mapping[str, float]]:  # fmt: skip
+    """Return the problem with the noise that its own fixes and wheels show, found once; at the beginning, where the
+    trajectory is far off, with all fixes at full weight.
+    """
+    aiding = [a for a in problem.aids if isinstance(a, Place | Wheels)]
+    if not aiding:
+        return problem, factors
+    inertial, free = problem.inertial, [a.role for a in aiding if not _stated(drive, a.role)]
+    free += [c.name for c in problem.layout.coloured()]  # nobody states these
+    if drive.settings.imu.gyro_noise_density is None:
+        free = ["gyro", "accelerometer", *free]
+        inertial = replace(
+            inertial, gyro=np.maximum(inertial.gyro, SAFE_GYRO**2), accel=np.maximum(inertial.accel, SAFE_ACCEL**2)
+        )
+    at = problem.at
+    if begin:
+        aids = tuple(replace(a, robust=False) if isinstance(a, Place | Wheels) else a for a in problem.aids)
+        at = solve.solve(problem.layout, problem.prior, inertial, aids, at, FIRST_PASSES, problem.tune).smoothed
+        factors = identify(problem.layout, problem.prior[1], inertial, aids, at, free) if free else {}
+        factors = widened(problem.layout, problem.prior[1], inertial, aids, at, factors)
+    aids = tuple(a.scaled(factors.get(a.role, 1.0)) if isinstance(a, Place | Wheels) else a for a in problem.aids)
+    form, (start, P0) = problem.layout, problem.prior
+    return replace(
+        problem, layout=form.scaled(factors), prior=(start, scaled_prior(P0, form, factors)),
+        inertial=_floored(inertial, problem.inertial, factors), aids=aids, at=at,
+    ), factors  # fmt: skip
+
+
+def _floored(begun: Inertial, least: Inertial, factors: Mapping[str, float]) -> Inertial:
+    """Return the IMU with the densities found, never below those it was given: vibration and tilt that rocks are no
+    white noise, and look small from one fix to the next.
+    """
+    found = scaled_inertial(begun, factors)
+    return replace(found, gyro=np.maximum(found.gyro, least.gyro), accel=np.maximum(found.accel, least.accel))
+
+
+def _stated(drive: Drive, role: str) -> bool:
+    """Return whether the user stated the noise of this aid."""
+    key = "sigma_m_s" if role == "odometry" else "sigma_m"
+    return key in getattr(drive.settings, role).model_fields_set
+
+
+def _stated_arms(drive: Drive) -> dict[str, Array]:
+    """Return the lever arms (3,) that the user stated, m, body axes."""
+    arms = {role: getattr(drive.settings, role).lever_arm_m for role in ("gps", "position", "odometry")}
+    return {role: np.array(arm) for role, arm in arms.items() if arm != "auto"}
+
+
+def _solved(drive: Drive, problem: Problem) -> solve.Solution:
+    wanted = drive.settings.smoothing.iterations
+    most = AUTO_PASSES if wanted == "auto" else int(wanted)
+    return solve.solve(problem.layout, problem.prior, problem.inertial, problem.aids, problem.at, most, problem.tune)
+
+
+def _lags(problem: Problem, found: solve.Solution) -> dict[str, float]:
+    """Return how late fixes still are, s, where that is sure."""
+    out = {}
+    for name, part in problem.layout.parts.items():
+        if name.endswith(" lag"):
+            at = part.start
+            lag, sigma = float(found.smoothed.x[0, at]), float(np.sqrt(found.errors.P[0, at, at]))
+            if abs(lag) > max(LEAST_LAG_S, SURE * sigma):
+                out[name.removesuffix(" lag")] = lag
+    return out
+
+
+def _hidden_arms(problem: Problem, found: solve.Solution) -> dict[str, Array]:
+    """Return the lever arms that the drive does not show: they are no states then, and zero."""
+    out = {}
+    for state in problem.layout.states:
+        if state.name.endswith(" lever arm"):
+            part = problem.layout.parts[state.name]
+            arm, sigma = found.smoothed.x[0, part], np.sqrt(np.diagonal(found.errors.P[0])[part])
+            if not np.any((np.abs(arm) > SURE * sigma) & (sigma < SHOWN * np.asarray(state.sigma))):
+                out[state.name.removesuffix(" lever arm")] = np.zeros(3)
+    return out
+
+
+def _smoothed(run: FilterRun) -> tuple[Array, Array]:
+    """Return the smoothed attitude (n, 4) and gyro bias (n, 3) of the indirect filter."""
+    d = kalman.rts(run.chain).d
+    return rotation.normalise(rotation.multiply(run.q, rotation.exp_quaternion(d[:, :3]))), run.bias + d[:, 3:]
