@@ -11,7 +11,7 @@ from .maths.propagation import run_steps
 from .nodes import Nodes
 from .records import Array, Smoothed
 
-BLOCK_STEPS = 1 << 16  # samples handled together: temporaries stay in cache
+BLOCK_STEPS = 1 << 17  # samples handled together
 
 
 def world_variance(q: Array, P: Array) -> Array:

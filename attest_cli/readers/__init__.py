@@ -18,14 +18,16 @@ READERS: Mapping[str, str] = {
     "csv": "attest_cli.readers.csv_log",
     "parquet": "attest_cli.readers.parquet_log",
     "mcap": "attest_cli.readers.mcap_log",
+    "ulog": "attest_cli.readers.ulog_log",
 }
 """Format -> module with ``read(path, settings) -> Recording``."""
 
-MAGIC: Mapping[bytes, str] = {b"\x89MCAP0\r\n": "mcap", b"PAR1": "parquet"}
+MAGIC: Mapping[bytes, str] = {b"\x89MCAP0\r\n": "mcap", b"PAR1": "parquet", b"ULog\x01\x12\x35": "ulog"}
 """First bytes of a file -> format."""
 
 SUFFIXES: Mapping[str, str] = {
     ".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".pq": "parquet", ".mcap": "mcap",
+    ".ulg": "ulog",
 }  # fmt: skip
 """Suffix -> format, where the first bytes do not tell."""
 
@@ -34,7 +36,6 @@ UNREADABLE: Mapping[bytes, tuple[str, str]] = {
         "a ROS 1 bag",
         "convert it to a ROS 2 MCAP with rosbags-convert (mcap convert keeps ROS 1 messages)",
     ),
-    b"ULog\x01\x12\x35": ("a PX4 ULog", "convert it to CSV, for instance with ulog2csv"),
     b"SQLite format 3\x00": ("an SQLite file (a ROS 2 .db3 bag?)", "convert it to MCAP with mcap convert"),
     b"PK\x03\x04": ("a zip archive or spreadsheet", "unpack it, or save the sheet as CSV"),
     b"\x1f\x8b": ("a gzip file", "unpack it with gunzip"),

@@ -22,15 +22,17 @@ from ..records import COLUMNS, Array, Channel, Ints, Recording, Warn
 from ..settings import Settings
 from .extras import extra
 from .reference import ENU_FROM_NED, FLU_FROM_FRD
-from .stamps import DIGITS
 
 Data = Mapping[str, NDArray[Any]]
 MOST_FIELDS = 4096
 """Limit on the numbers of one record, nested types unrolled; PX4's largest has some hundred."""
+HEAD_BYTES = 3  # length and letter of a record
 NO_ACCEL = np.iinfo(np.int32).max  # accelerometer_timestamp_relative: no reading in this record
-LATEST_US = np.iinfo(np.int64).max // 10 ** DIGITS["us"]
+NS_PER_US = 1000
+LATEST_US = np.iinfo(np.int64).max // NS_PER_US
 DECIMATED = 0.5  # integrals over less than this share of the time between them leave the rest out
 TESLA = 1e-4  # per gauss
+AGAIN = "copy it again from the autopilot"
 NOTE = "axes: body turned from forward-right-down to forward-left-up, world from north-east-down to east-north-up"
 CLOCK = "time: microseconds since the autopilot started"
 
@@ -38,45 +40,67 @@ CLOCK = "time: microseconds since the autopilot started"
 def read(path: Path, settings: Settings) -> Recording:
     """Read the sensors of a ULog; see ``readers.read``."""
     library = extra(path, "pyulog", "ulog", "a PX4 ULog")
-    log = _load(path, library)
     warnings: list[Warn] = []
+    log = _load(path, library, warnings)
     channels: list[Channel] = []
     topics = {data.name for data in log.data_list}
     rows = 0
     for data in log.data_list:
         name = f"{data.name}/{data.multi_id}" if data.multi_id else data.name
-        rows += len(data.data["timestamp"]) if "timestamp" in data.data else 0
         try:
             stamps_ns = _stamps(path, name, data.data, settings.time.source)
+            rows += stamps_ns.size
             channels += TOPICS[data.name](name, stamps_ns, data.data, warnings)
         except KeyError as error:
             raise AttestError(f"{path}: {name} has no field {error}", "was it written by another autopilot?") from None
     if "sensor_combined" in topics:  # the same sensors: those that the autopilot flew with, at their full rate
-        channels = [_without_role(channel) if channel.name.startswith("vehicle_imu") else channel for channel in channels]
-    warnings += _losses(path, log)
+        channels = [
+            _without_role(channel) if channel.name.startswith("vehicle_imu") else channel for channel in channels
+        ]
     other = {name: "PX4 format" for name in sorted(log.message_formats) if name not in topics}
     return Recording(path, "ulog", tuple(channels), rows, other, tuple(warnings), (CLOCK, NOTE))
 
 
-def _load(path: Path, library: Any) -> Any:
-    """Read the chosen topics with pyulog, which says on stdout what it finds wrong."""
+def _load(path: Path, library: Any, warnings: list[Warn]) -> Any:
+    """Read the chosen topics with pyulog, which says on stdout what it finds wrong; say what is lost."""
     faults = (library.ULogException, ValueError, KeyError, IndexError, TypeError, OverflowError, RecursionError)
     try:
         with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):
             _check_formats(path, library.ULog(_Kept(stream), parse_header_only=True).message_formats)
             stream.seek(0)
-            return library.ULog(_Kept(stream), message_name_filter_list=list(TOPICS))
+            kept = _Kept(stream)
+            log = library.ULog(kept, message_name_filter_list=list(TOPICS))
+            given_up = bool(stream.read(1))  # it stops without a word at some kinds of damage
     except faults as error:
-        raise AttestError(f"{path}: damaged ULog: {error}", "copy it again from the autopilot") from None
+        raise AttestError(f"{path}: damaged ULog: {error}", AGAIN) from None
     except OSError as error:
         raise AttestError(f"{path}: cannot be read: {error.strerror}") from None
+    if log.file_corruption or given_up:
+        until = f" after {log.last_timestamp * 1e-6:.3f} s" if given_up else ""
+        message = f"{path.name}: damaged ULog: records{until} could not be read"
+        warnings.append(Warn("damaged-ulog", message, AGAIN, lost=True))
+    if kept.cut:
+        message = f"{path.name}: the ULog ends within a record, after {log.last_timestamp * 1e-6:.3f} s: cut short"
+        warnings.append(Warn("cut-ulog", message, AGAIN, lost=True))
+    if log.dropouts:
+        lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+        message = f"{path.name}: {len(log.dropouts)} dropouts of the logger, {lost_s:.1f} s in all"
+        warnings.append(Warn("logger-dropouts", message, "a faster SD card, or fewer topics"))
+    return log
 
 
 class _Kept:
-    """A stream that outlives pyulog, which closes what it reads."""
+    """A stream that outlives pyulog, which closes what it reads, and that knows of a record cut short."""
 
     def __init__(self, stream: BinaryIO) -> None:
-        self.read, self.seek, self.tell = stream.read, stream.seek, stream.tell
+        self._stream, self.seek, self.tell = stream, stream.seek, stream.tell
+        self.cut = False
+
+    def read(self, size: int) -> bytes:
+        """Read, and note whether all that was asked for is there; no head of a record is the end of the file."""
+        data = self._stream.read(size)
+        self.cut = len(data) < size and (bool(data) or size > HEAD_BYTES)
+        return data
 
     def close(self) -> None:
         """Leave it open."""
@@ -95,7 +119,7 @@ def _check_formats(path: Path, formats: Mapping[str, Any]) -> None:
                 total += max(count, 1) * size(kind, depth + 1)
                 if total > MOST_FIELDS:
                     message = f"{path}: damaged ULog: the format {name[:40]!r} has more than {MOST_FIELDS} fields"
-                    raise AttestError(message, "copy it again from the autopilot")
+                    raise AttestError(message, AGAIN)
             sizes[name] = total
         return sizes[name]
 
@@ -107,15 +131,19 @@ def _stamps(path: Path, name: str, data: Data, source: str) -> Ints:
     """Return when the sensor measured, or by request when it was logged."""
     logged = data["timestamp"]
     sampled = data.get("timestamp_sample", logged) if source == "header" else logged
-    stamps = np.where(sampled == 0, logged, sampled)
+    stamps: NDArray[np.uint64] = np.where(sampled == 0, logged, sampled)
     if stamps.size and int(stamps.max()) > LATEST_US:
-        raise AttestError(f"{path}: damaged ULog: a stamp of {name} that is no time", "copy it again from the autopilot")
-    return stamps.astype(np.int64) * 10 ** DIGITS["us"]
+        raise AttestError(
+            f"{path}: damaged ULog: a stamp of {name} that is no time", "copy it again from the autopilot"
+        )
+    return stamps.astype(np.int64) * NS_PER_US
 
 
 def _vector(data: Data, name: str) -> Array:
     """Return a vector of the body (n, 3), turned to forward-left-up."""
-    return np.stack([data[f"{name}[{k}]"].astype(np.float64) * sign for k, sign in enumerate((1.0, -1.0, -1.0))], axis=1)
+    return np.stack(
+        [data[f"{name}[{k}]"].astype(np.float64) * sign for k, sign in enumerate((1.0, -1.0, -1.0))], axis=1
+    )
 
 
 def _channel(name: str, kind: str, role: str, stamps_ns: Ints, values: Array, unit: str | tuple[str, ...]) -> Channel:
@@ -142,7 +170,7 @@ def _combined(name: str, stamps_ns: Ints, data: Data, _: list[Warn]) -> list[Cha
     if not np.any(behind[has]):
         accel[~has] = np.nan
         return [_channel(name, "sensor_combined", "imu", stamps_ns, np.concatenate([gyro, accel], axis=1), IMU_UNITS)]
-    own = stamps_ns[has] + behind[has] * 10 ** DIGITS["us"]
+    own = stamps_ns[has] + behind[has] * NS_PER_US
     return [
         _channel(f"{name}#gyro", "sensor_combined", "gyro", stamps_ns, gyro, "rad/s"),
         _channel(f"{name}#accel", "sensor_combined", "accel", own, accel[has], "m/s^2"),
@@ -158,7 +186,7 @@ def _imu(name: str, stamps_ns: Ints, data: Data, warnings: list[Warn]) -> list[C
     step_s = float(np.median(np.diff(stamps_ns))) * 1e-9 if stamps_ns.size > 1 else 0.0
     covered = float(np.median(data["delta_angle_dt"])) * 1e-6
     if covered < DECIMATED * step_s:
-        message = f"{name}: integrals over {covered * 1e3:.1f} ms, one every {step_s * 1e3:.1f} ms: the rest is not in the log"
+        message = f"{name}: an integral over {covered * 1e3:.1f} ms every {step_s * 1e3:.1f} ms: the rest is not logged"
         warnings.append(Warn("decimated-imu", message, "log sensor_combined, or vehicle_imu at its full rate"))
     return [_channel(name, "vehicle_imu", "imu", stamps_ns, np.concatenate(parts, axis=1), IMU_UNITS)]
 
@@ -171,9 +199,10 @@ def _magnetometer(name: str, stamps_ns: Ints, data: Data, _: list[Warn]) -> list
 def _gps(name: str, stamps_ns: Ints, data: Data, _: list[Warn]) -> list[Channel]:
     """Places in degrees and metres (since PX4 1.14), or in 1e-7 deg and mm; below a 2-D fix there is none."""
     if "latitude_deg" in data:
-        places = [data[f"{part}"] for part in ("latitude_deg", "longitude_deg", "altitude_ellipsoid_m")]
+        places = [data[part] for part in ("latitude_deg", "longitude_deg", "altitude_ellipsoid_m")]
     else:
-        height = data["alt_ellipsoid"] if np.any(data["alt_ellipsoid"]) else data["alt"]
+        ellipsoid = data.get("alt_ellipsoid", np.zeros(1))
+        height = ellipsoid if np.any(ellipsoid) else data["alt"]
         places = [data["lat"] * 1e-7, data["lon"] * 1e-7, height * 1e-3]
     fix = data["fix_type"]
     columns = dict(zip(COLUMNS["gps"], (np.where(fix < 2, np.nan, p.astype(np.float64)) for p in places), strict=True))
@@ -200,15 +229,3 @@ TOPICS: Mapping[str, Callable[[str, Ints, Data, list[Warn]], list[Channel]]] = {
     "vehicle_attitude": _attitude,
 }
 """Topic of PX4 -> its channels."""
-
-
-def _losses(path: Path, log: Any) -> list[Warn]:
-    found = []
-    if log.file_corruption:
-        message = f"{path.name}: damaged ULog: some records could not be read"
-        found.append(Warn("damaged-ulog", message, "copy it again from the autopilot", lost=True))
-    if log.dropouts:
-        lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-        message = f"{path.name}: {len(log.dropouts)} dropouts of the logger, {lost_s:.1f} s in all"
-        found.append(Warn("logger-dropouts", message, "a faster SD card, or fewer topics"))
-    return found

@@ -71,7 +71,7 @@ class Measurement:
 
     def linearise(self, R_nb: Array, bias: Array) -> tuple[Array, Array]:
         """Return the mean residual (dof,) and Jacobian (dof, 6) at the node's ``R_nb`` (3, 3) and ``bias`` (3,)."""
-        R_nb = np.broadcast_to(R_nb, (len(self.values), 3, 3))
+        R_nb = R_nb[None] if len(self.values) == 1 else np.broadcast_to(R_nb, (len(self.values), 3, 3))
         if self.turn is None:
             r, H = self.sensor.linearise(R_nb, bias, self.values)
         else:

@@ -81,9 +81,7 @@ def batch(gtsam: Any, steps: Steps, force0: Array, force1: Array, start: Traject
         for i in range(k * PER_NODE, (k + 1) * PER_NODE):
             rate = 0.5 * (steps.rate0[i] + steps.rate1[i])
             turned = rotation.exp_quaternion(0.5 * rate[None] * steps.dt[i])  # gtsam holds the force in the first axes
-            pim.integrateMeasurement(
-                rotation.rotate(turned, 0.5 * (force0[i] + force1[i])[None])[0], rate, steps.dt[i]
-            )
+            pim.integrateMeasurement(rotation.rotate(turned, 0.5 * (force0[i] + force1[i])[None])[0], rate, steps.dt[i])
         graph.add(gtsam.ImuFactor(X(k), V(k), X(k + 1), V(k + 1), B(k), pim))
         graph.add(gtsam.BetweenFactorConstantBias(B(k), B(k + 1), zero, walk))
     for node, fix in zip(range(EVERY, NODES, EVERY), fixes, strict=True):
