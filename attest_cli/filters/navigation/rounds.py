@@ -54,7 +54,8 @@ def navigate(drive: Drive) -> Navigated:
     learnt = Learnt(arms=_stated_arms(drive))
     done = _round(drive, learnt, None)
     for _ in range(ROUNDS - 1):
-        lags, arms = _lags(done.problem, done.found), _hidden_arms(done.problem, done.found)
+        lags = _lags(done.problem, done.found)
+        arms = {} if lags else _hidden_arms(done.problem, done.found)  # a lag hides them
         if not lags and not arms:
             break
         learnt = done.learnt

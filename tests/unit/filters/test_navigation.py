@@ -13,9 +13,10 @@ from support.drives import effective
 
 from attest_cli import estimate
 from attest_cli.filters import Drive, navigation
+from attest_cli.filters.choice import choose
 from attest_cli.filters.navigation.aids import Place, student
 from attest_cli.filters.navigation.start import heading_offset
-from attest_cli.maths import rotation
+from attest_cli.maths import kalman, rotation
 from attest_cli.nodes.noise import find_noise
 from attest_cli.prepare import prepare
 from attest_cli.records import Fixes, Imu, Log, Segmentation
@@ -82,12 +83,18 @@ def test_a_wheel_scale_is_found() -> None:
     assert abs(found / true - 1.0) < 0.1
 
 
-def car(seed: int, lag: float = 0.0, sigma: float = 0.5, turn: float = 2.0) -> tuple[Drive, Array, Array]:
+ARM = np.array([1.0, -0.6, 0.0])  # m
+CAR_S = 80.0
+
+
+def car(
+    seed: int, lag: float = 0.0, sigma: float = 0.5, turn: float = 2.0, arm: Array | None = None
+) -> tuple[Drive, Array, Array]:
     """A lively car on a plane, known exactly: IMU at 100 Hz, places once a second; its axes start at heading 0, the
     places are turned by ``turn``.
     """
     rng = np.random.default_rng(seed)
-    t = np.arange(0.0, 120.0, 0.01)
+    t = np.arange(0.0, CAR_S, 0.01)
     heading = 0.8 * np.sin(0.15 * t) + 0.02 * t
     rate = 0.8 * 0.15 * np.cos(0.15 * t) + 0.02
     speed = 8.0 + 3.0 * np.sin(0.3 * t)
@@ -97,9 +104,11 @@ def car(seed: int, lag: float = 0.0, sigma: float = 0.5, turn: float = 2.0) -> t
     zero = np.zeros_like(t)
     gyro = np.stack([zero, zero, rate], axis=1) + np.array([0.002, -0.003, 0.004]) + rng.normal(0, 2e-3, (len(t), 3))
     force = np.stack([gain, speed * rate, zero + 9.80665], axis=1) + rng.normal(0, 0.05, (len(t), 3))
-    when = np.arange(0.5, 119.0, 1.0)
+    when = np.arange(0.5, CAR_S - 1.0, 1.0)
     R = rotation.matrix(rotation.exp_quaternion(np.array([0.0, 0.0, turn])))
-    place = np.stack([np.interp(when - lag, t, p[:, i]) for i in range(3)], axis=1) @ R.T
+    ahead = np.stack([zero, zero, heading], axis=1)
+    antenna = p + (0.0 if arm is None else rotation.rotate(rotation.exp_quaternion(ahead), np.tile(arm, (len(t), 1))))
+    place = np.stack([np.interp(when - lag, t, antenna[:, i]) for i in range(3)], axis=1) @ R.T
     place += rng.normal(0.0, sigma, place.shape)
     stamps = (t * 1e9).astype(np.int64)
     fixes = {"position": Fixes("position", "fixes", when, place)}
@@ -129,14 +138,25 @@ def test_heading_is_found_from_where_the_car_went(turn: float) -> None:
     assert sigma < 0.15
 
 
+def test_a_lever_arm_and_a_lag_are_found_with_a_good_imu() -> None:
+    work, _, _ = car(2, lag=0.2, sigma=0.05, arm=ARM)
+    densities = {"gyro_noise_density": 2e-4, "accel_noise_density": 5e-3, "gyro_scale_sigma": 0.0}
+    settings = Settings.model_validate({"imu": densities})
+    noise = find_noise(work.log, work.segmentation, settings)
+    shown = {item.name: item for item in navigation.forward(replace(work, settings=settings, noise=noise)).shown}
+    for name, true in (("position lever arm", ARM[:2]), ("position lag", [0.2])):
+        values, sigma = (np.array(part[: len(true)]) for part in (shown[name].values, shown[name].sigma))
+        assert (np.abs(values - true) < 4.0 * sigma).all(), name
+        assert sigma.max() < 0.25  # half of what is known beforehand
+
+
 def test_car_noise_clock_and_heading_are_found_from_the_log_alone() -> None:
     """Nothing is stated: neither the fixes' 0.5 m nor that they are 0.2 s late; the first fix is the origin."""
     work, truth, t = car(2, lag=0.2)
     found = navigation.forward(work)
     assert found.run.read is not None
     assert any("late" in w.message for w in found.warnings)
-    run = found.run
-    smoothed = run.read(navigation.solve.kalman.rts(run.chain))
+    smoothed = found.run.read(kalman.rts(found.run.chain))
     assert smoothed.p is not None
     assert smoothed.P_vp is not None
     at = np.stack([np.interp(smoothed.t, t, truth[:, i]) for i in range(3)], axis=1)
@@ -145,6 +165,29 @@ def test_car_noise_clock_and_heading_are_found_from_the_log_alone() -> None:
     assert np.sqrt(np.mean(np.sum(apart**2, axis=1))) < 0.5
     sigma = np.sqrt(np.einsum("kii->ki", smoothed.P_vp[:, 3:, 3:]))
     assert np.mean(np.abs(apart) < 3.0 * sigma[:, :2]) > 0.9
+
+
+def test_an_arm_that_the_drive_does_not_show_is_no_state() -> None:
+    work, _, _ = car(3, sigma=0.5)
+    assert "position lever arm" not in {item.name for item in navigation.forward(work).shown}
+
+
+@pytest.mark.parametrize(
+    ("roles", "rate", "name"),
+    [({"gps"}, 0.1, "navigation"), ({"sun"}, 0.1, "indirect"), ({"magnetometer"}, 1.5, "navigation"),
+     ({"magnetometer", "odometry"}, 1.5, "indirect")],
+)  # fmt: skip
+def test_auto_looks_at_the_sensors_and_at_how_lively_it_is(roles: set[str], rate: float, name: str) -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    gyro = np.stack([rate * np.sin(2 * t), rate * np.cos(3 * t), 0 * t], axis=1)
+    fixes = {role: Fixes(role, role, np.arange(0.0, 20.0), np.zeros((20, 3))) for role in roles}
+    log = Log((), 0, (t * 1e9).astype(np.int64), Imu(t, gyro, np.tile([0.0, 0.0, 9.8], (len(t), 1))), fixes,
+              np.zeros((0, 2)), {})  # fmt: skip
+    settings = Settings()
+    segmentation = find_segments(log, settings)
+    assert choose(log, segmentation, settings)[0] == name
+    stated = Settings.model_validate({"smoothing": {"filter": "heading"}})
+    assert choose(log, segmentation, stated)[0] == "heading"
 
 
 def test_students_weights_spare_what_fits_and_fade_what_does_not() -> None:
