@@ -23,6 +23,7 @@ STILL_M_S = 2e-3  # how still a stop is
 ACCEL_WALK = 1e-4  # m/s^2/sqrt(s): how an accelerometer's bias walks
 LONGEST_SILENCE_S = 1.0  # odometry is bridged over this
 LEAST_SPEED_M_S = 0.1
+BLOCK_ROWS = 1 << 16  # samples handled together
 NO_GAPS = np.zeros((0, 2))
 PROOF = 1.92  # log likelihood ratio of 95 % for one parameter
 UNUSABLE_SHARE = 0.1  # of the distance: a position worse than this is not worth its name
@@ -102,13 +103,7 @@ def odometry_position(
     cfg, t = settings.odometry, smoothed.t
     silent = silences(odometry, imu.t, segmentation)
     blind = np.concatenate([gaps, silent])
-    v_v = np.stack([np.interp(imu.t, odometry.t, np.nan_to_num(odometry.values[:, i])) for i in range(3)], axis=1)
-    for s in segmentation.stops:
-        v_v[np.searchsorted(imu.t, s.used_start) : np.searchsorted(imu.t, s.used_end, side="right")] = 0.0
-    v_n = rotation.rotate(q, v_v @ rotation.matrix(q_bv).T)
-    moved = 0.5 * (v_n[1:] + v_n[:-1]) * np.diff(imu.t)[:, None]
-    moved[_touched(imu.t, blind)] = 0.0
-    p = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)])
+    p, v_n, speed = _driven(imu.t, q, q_bv, segmentation, odometry, blind)
     for start, end in silent:
         v_n[(imu.t > start) & (imu.t < end)] = np.nan
     step = np.diff(np.stack([np.interp(t, imu.t, p[:, i]) for i in range(3)], axis=1), axis=0)
@@ -116,10 +111,35 @@ def odometry_position(
     R_nodes = rotation.matrix(rotation.multiply(smoothed.q, q_bv))[:-1]
     moving = np.linalg.norm(step, axis=1) > 1e-9
     noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]
-    noise += _blind_variance(t, blind, _rms_speed(v_v))[:, None, None] * np.eye(3)
+    noise += _blind_variance(t, blind, speed)[:, None, None] * np.eye(3)
     P = _odometry_covariance(markov(smoothed), step, noise, cfg.scale_sigma)
     distance = {s.index: _length(p[s.first : s.last]) for s in segmentation.motions}
     return Position(p, v_n, P, {}, distance, _usable(P, distance), "odometry")
+
+
+def _driven(
+    t: Array, q: Array, q_bv: Array, segmentation: Segmentation, odometry: Fixes, blind: Array
+) -> tuple[Array, Array, float]:
+    """Return position and velocity (n, 3) at the samples ``t``, and the rms speed while moving; block by block."""
+    R_bv, still, touched = rotation.matrix(q_bv).T, np.zeros(len(t), dtype=np.bool_), _touched(t, blind)
+    for s in segmentation.stops:
+        still[np.searchsorted(t, s.used_start) : np.searchsorted(t, s.used_end, side="right")] = True
+    p, v_n, square, count = np.zeros((len(t), 3)), np.empty((len(t), 3)), 0.0, 0
+    known = np.nan_to_num(odometry.values[:, :3])
+    for lo in range(0, len(t), BLOCK_ROWS):
+        rows = slice(lo, lo + BLOCK_ROWS)
+        v_v = np.stack([np.interp(t[rows], odometry.t, known[:, i]) for i in range(3)], axis=1)
+        v_v[still[rows]] = 0.0
+        fast = np.einsum("ki,ki->k", v_v, v_v)
+        fast = fast[fast > STILL_M_S**2]
+        square, count = square + float(fast.sum()), count + fast.size
+        v_n[rows] = rotation.rotate(q[rows], v_v @ R_bv)
+        first = max(lo - 1, 0)  # the step into the block
+        v = v_n[first : rows.stop]
+        moved = 0.5 * (v[1:] + v[:-1]) * np.diff(t[first : rows.stop])[:, None]
+        moved[touched[first : rows.stop - 1]] = 0.0
+        p[first + 1 : rows.stop] = p[first] + np.cumsum(moved, axis=0)
+    return p, v_n, max(LEAST_SPEED_M_S, float(np.sqrt(square / count))) if count else LEAST_SPEED_M_S
 
 
 def silences(odometry: Fixes, span: Array, segmentation: Segmentation) -> Array:
@@ -131,13 +151,6 @@ def silences(odometry: Fixes, span: Array, segmentation: Segmentation) -> Array:
     edges = np.concatenate([[span[0]], known, [span[-1]]])
     long = np.flatnonzero(np.diff(edges) > limit)
     return np.stack([edges[long], edges[long + 1]], axis=1)
-
-
-def _rms_speed(v: Array) -> float:
-    """Return the rms speed while moving, at least ``LEAST_SPEED``: what a position may run away with unseen."""
-    speed = np.sqrt(np.einsum("ki,ki->k", v, v))
-    moving = speed[speed > STILL_M_S]
-    return max(LEAST_SPEED_M_S, float(np.sqrt(np.mean(moving**2)))) if moving.size else LEAST_SPEED_M_S
 
 
 def _touched(t: Array, spans: Array) -> Bools:

@@ -80,7 +80,9 @@ ROLES = (
     "orientation",
     "odometry",
     "gps",
+    "gps_velocity",
     "position",
+    "height",
     "temperature",
 )
 """Roles a channel can play. ``gyro`` and ``accel`` are halves of an imu on channels of their own."""
@@ -95,10 +97,13 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "orientation": ("q_w", "q_x", "q_y", "q_z"),
     "odometry": ("velocity_x", "velocity_y", "velocity_z"),
     "gps": ("latitude", "longitude", "altitude"),
+    "gps_velocity": ("velocity_east", "velocity_north", "velocity_up"),
     "position": ("position_x", "position_y", "position_z"),
+    "height": ("baro_height",),
     "temperature": ("temperature_c",),
 }
-"""Canonical columns of each role, in order (``interface.md``, Roles). Odometry may instead have ``speed`` only."""
+"""Canonical columns of each role, in order (``interface.md``, Roles). Odometry may instead have ``speed`` only, GPS
+velocity ``velocity_down``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,12 +122,15 @@ class Recording:
 @dataclass(frozen=True, slots=True)
 class Imu:
     """IMU samples: ``t`` (n,) s since ``t0_ns`` strictly increasing, ``gyro_b`` (n, 3) rad/s, ``accel_b`` (n, 3)
-    m/s^2 specific force.
+    m/s^2 specific force. Clipped samples are noisier by ``gyro_clipped`` (n,) rad/s/sqrt(Hz) and ``accel_clipped`` (n,)
+    m/s^2/sqrt(Hz), 0 at the others; None where no sample is.
     """
 
     t: Array
     gyro_b: Array
     accel_b: Array
+    gyro_clipped: Array | None = None
+    accel_clipped: Array | None = None
 
     def __post_init__(self) -> None:
         n = self.t.shape[0]
@@ -138,7 +146,8 @@ class Fixes:
 
     ``values`` (m, d): sun (m, 2|3) sensor-frame direction; magnetometer (m, 3) body, tesla; compass (m, 1) rad
     clockwise from true north; orientation (m, 4) Hamilton wxyz body to navigation; odometry (m, 3) body m/s (NaN =
-    not measured); gps (m, 3) rad, rad, m; position (m, 3) m navigation; temperature (m, 1) deg C.
+    not measured); gps (m, 3) rad, rad, m; gps_velocity (m, 3) m/s east, north, up; position (m, 3) m
+    navigation; height (m, 1) m up from anywhere; temperature (m, 1) deg C.
     ``sigma`` (m, k) or None: standard deviations the log itself states, in the unit of the residual.
     """
 

@@ -41,7 +41,8 @@ def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Array:
     for lo, hi in pairwise(cuts):
         rows = slice(*np.searchsorted(nodes.sample_step, [first[lo], first[hi]]).tolist())
         q[1:][rows] = _bridged(nodes, smoothed, bias, t[1:][rows], rows, lo, hi)
-    return rotation.continuous(q)
+    q *= rotation.signs(q)[:, None]  # in place: a long log has hundreds of megabytes of it
+    return q
 
 
 def _bridged(nodes: Nodes, smoothed: Smoothed, bias: Array, t: Array, rows: slice, lo: int, hi: int) -> Array:

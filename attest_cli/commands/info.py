@@ -12,7 +12,11 @@ from ..settings import Settings, load_settings
 from .console import OK, Console
 
 if TYPE_CHECKING:
-    from ..records import Channel, Recording
+    from ..readers.mcap_glance import Glance
+    from ..records import Channel, Ints, Recording
+
+SURE_RATE = 50
+"""Stamps from which a rate is taken; with fewer the times of logging give it."""
 
 HEAD = ("channel", "type", "rows", "rate", "from", "to", "gaps", "units", "used as")
 
@@ -23,10 +27,11 @@ def run(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any],
     from ..prepare import prepare
     from ..readers import read
 
-    recordings = [read(path, settings) for path in logs]
-    found, refusal = _described(recordings, settings)
+    glance = None if console.verbose or len(logs) > 1 else _glance(logs[0], settings)
+    recordings = [read(path, settings) for path in logs] if glance is None else [glance.recording]
+    found, refusal = _described(recordings, settings, () if glance is None else glance.ends.channels)
     warnings = [warning for recording in recordings for warning in recording.warnings]
-    if refusal is None:
+    if refusal is None and glance is None:
         try:
             warnings = list(prepare(recordings, settings).warnings)
         except AttestError as fault:
@@ -53,8 +58,30 @@ def run(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any],
     return OK
 
 
-def _described(recordings: Sequence[Recording], settings: Settings) -> tuple[list[dict[str, Any]], AttestError | None]:
-    """Facts of every channel, with the role it would play; and why none can, where it is so."""
+def _glance(log: Path, settings: Settings) -> Glance | None:
+    """Look at a long MCAP file by its index; None where only reading all of it tells what should be known."""
+    from ..prepare import prepare
+    from ..readers import format_of
+    from ..settings.table import Table
+
+    if format_of(log) != "mcap" or settings.table != Table():
+        return None
+    from ..readers.mcap_glance import glance
+
+    found = glance(log, settings)
+    try:
+        return None if found is None or prepare([found.head], settings).warnings else found
+    except AttestError:
+        return None
+
+
+def _described(
+    recordings: Sequence[Recording], settings: Settings, ends: Sequence[Channel]
+) -> tuple[list[dict[str, Any]], AttestError | None]:
+    """Facts of every channel, with the role it would play; and why none can, where it is so.
+
+    Where the recording has only times of logging, ``ends`` are the channels as read at the ends of the log.
+    """
     from ..prepare.roles import choose, joined
 
     roles: dict[str, list[str]] = {}
@@ -65,27 +92,35 @@ def _described(recordings: Sequence[Recording], settings: Settings) -> tuple[lis
     except AttestError as fault:
         refusal = fault
     channels = joined(recordings)
-    start = min((int(c.stamps_ns.min()) for c in channels if c.stamps_ns.size), default=0)
-    found = [_facts(channel, roles.get(channel.name, []), start, settings.time.max_gap_s) for channel in channels]
+    exact = {channel.name: channel.stamps_ns for channel in (*channels, *ends)}
+    start = min((int(stamps_ns.min()) for stamps_ns in exact.values() if stamps_ns.size), default=0)
+    found = [
+        _facts(channel, exact[channel.name], roles.get(channel.name, []), start, settings.time.max_gap_s)
+        for channel in channels
+    ]
     for recording in recordings:
         found += [{"name": name, "kind": kind, "used_as": "not read"} for name, kind in recording.other.items()]
     return found, refusal
 
 
-def _facts(channel: Channel, roles: Sequence[str], start_ns: int, max_gap_s: float) -> dict[str, Any]:
-    """Rows, rate, span from the start of the log, gaps and stated units of one channel."""
+def _facts(channel: Channel, exact_ns: Ints, roles: Sequence[str], start_ns: int, max_gap_s: float) -> dict[str, Any]:
+    """Rows, rate, span from the start of the log, gaps and stated units of one channel.
+
+    The span is that of the stamps ``exact_ns``, the rate too where they are not few.
+    """
     import numpy as np
 
-    stamps = np.sort(channel.stamps_ns)
+    stamps, exact = np.sort(channel.stamps_ns), np.sort(exact_ns)
     steps = np.diff(stamps) * 1e-9
-    period = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    sure = steps if exact.size < SURE_RATE else np.diff(exact) * 1e-9
+    period = float(np.median(sure[sure > 0])) if np.any(sure > 0) else 0.0
     return {
         "name": channel.name,
         "kind": channel.kind,
         "rows": int(stamps.size),
         "rate_hz": 1.0 / period if period else None,
-        "start_s": (int(stamps[0]) - start_ns) * 1e-9 if stamps.size else None,
-        "end_s": (int(stamps[-1]) - start_ns) * 1e-9 if stamps.size else None,
+        "start_s": (int(exact[0]) - start_ns) * 1e-9 if exact.size else None,
+        "end_s": (int(exact[-1]) - start_ns) * 1e-9 if exact.size else None,
         "gaps": int(np.count_nonzero(steps > max(max_gap_s, 5 * period))),
         "units": sorted({unit for unit in channel.units.values() if unit}),
         "used_as": ", ".join(roles) or "not used",

@@ -97,11 +97,15 @@ def font_files() -> tuple[str, str, float]:
 
 @lru_cache(maxsize=64)
 def font(size_pt: float, bold: bool = False) -> FreeTypeFont:
-    """The font at ``size_pt`` points on a page of ``DPI``, ``TEXT_SCALE`` times enlarged."""
+    """The font at ``size_pt`` points on a page of ``DPI``, ``TEXT_SCALE`` times enlarged.
+
+    Laid out by Pillow itself: Raqm takes longer and is not everywhere.
+    """
     from PIL import ImageFont
 
     regular, semibold, factor = font_files()
-    return ImageFont.truetype(semibold if bold else regular, size_pt * factor * TEXT_SCALE * DPI / 72.0)
+    file, size = semibold if bold else regular, size_pt * factor * TEXT_SCALE * DPI / 72.0
+    return ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
 
 
 @lru_cache(maxsize=4096)

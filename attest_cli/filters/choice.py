@@ -9,6 +9,7 @@ from ..records import Log, Segmentation
 from ..settings import Settings
 
 LIVELY_RAD_S = 0.5  # rms rate in motion from which a log without wheels is taken as hand-held
+CARRIED_RAD_S = 0.2  # the same of a log that never stops: a rover turns at 0.1, a stick in slow hands at 0.25
 
 
 def choose(log: Log, segmentation: Segmentation, settings: Settings) -> tuple[str, str]:
@@ -16,10 +17,12 @@ def choose(log: Log, segmentation: Segmentation, settings: Settings) -> tuple[st
     stated = settings.smoothing.filter
     if stated != "auto":
         return stated, "as stated"
-    if {"gps", "position"} & log.fixes.keys():
+    if {"gps", "gps_velocity", "position"} & log.fixes.keys():
         return "navigation", "the log has positions"
-    if "odometry" not in log.fixes and liveliness(log, segmentation) > LIVELY_RAD_S:
-        return "navigation", "the IMU is turned about as by a hand"
+    least = LIVELY_RAD_S if segmentation.stops else CARRIED_RAD_S
+    aided = "magnetometer" in log.fixes or not segmentation.stops  # with stops alone the plain filter does as well
+    if aided and "odometry" not in log.fixes and liveliness(log, segmentation) > least:
+        return "navigation", "the IMU turns as in a hand"
     return "indirect", "no positions, and driven motion"
 
 

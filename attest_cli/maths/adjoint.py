@@ -41,11 +41,12 @@ def smooth(run: Pass) -> Errors:
     assert chain.rotations == 0
     n, s = chain.dx.shape
     Lam, before, now = np.zeros((n, s, s)), np.zeros((n - 1, s, s)), np.zeros((s, s))
-    seen = HtS @ run.H
-    kept = np.eye(s) - seen @ chain.P_pred
+    eye = np.eye(s)
     for k in range(n - 1, 0, -1):
         if measured[k]:
-            now = kept[k] @ now @ kept[k].T + seen[k]
+            seen = HtS[k] @ run.H[k]
+            kept = eye - seen @ chain.P_pred[k]
+            now = kept @ now @ kept.T + seen
         before[k - 1] = now
         now = chain.Phi[k - 1].T @ now @ chain.Phi[k - 1]
         now = 0.5 * (now + now.T)

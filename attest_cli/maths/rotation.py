@@ -274,10 +274,15 @@ def continuous(q: Array) -> Array:
     """Return the quaternions (n, 4) with signs chosen so that neighbours have a positive scalar product; the first
     has w >= 0.
     """
-    flips = np.sign(np.einsum("ki,ki->k", q[1:], q[:-1]))
-    flips[flips == 0.0] = 1.0
-    start = 1.0 if q[0, 0] >= 0.0 else -1.0
-    return q * (start * np.concatenate([[1.0], np.cumprod(flips)]))[:, None]
+    return q * signs(q)[:, None]
+
+
+def signs(q: Array) -> Array:
+    """Return the signs (n,) that make quaternions (n, 4) continuous; see ``continuous``."""
+    flips = np.ones(len(q))
+    flips[0] = 1.0 if q[0, 0] >= 0.0 else -1.0
+    flips[1:][np.einsum("ki,ki->k", q[1:], q[:-1]) < 0.0] = -1.0
+    return np.asarray(np.cumprod(flips, out=flips))
 
 
 @in_cache

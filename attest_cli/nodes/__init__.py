@@ -17,7 +17,7 @@ from ..records import Array, Bools, Imu, Ints, Log, Segmentation
 from ..sensors import Measurement
 from ..sensors.zero_rate import ZeroRate
 from ..settings import Settings
-from .noise import Noise, motion_density, reference_bias
+from .noise import Noise, clipped_density, motion_density, reference_bias
 from .observations import Observation
 
 STOP_NODE_S = 1.0  # nodes of a stop: its attitude is frozen, only the bias walks
@@ -101,7 +101,7 @@ def build_nodes(
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
     steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
     bias = reference_bias(log, segmentation, middle)
-    density = motion_density(noise, mean_rate(imu, middle) - bias)
+    density = motion_density(noise, mean_rate(imu, middle) - bias) + clipped_density(imu.t, imu.gyro_clipped, t)
     increments = _increments(steps, bias, frozen, gap, density, noise)
     by_node = _assign(imu, observations, t, segmentation, settings.smoothing.zero_rate)
     for m in _zero_rates(imu, t, frozen, noise):
@@ -193,7 +193,7 @@ def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
         rate = np.empty((len(grid), 3))
         rate[sample] = imu.gyro_b
         rate[first[new]] = np.stack([np.interp(t[new], imu.t, imu.gyro_b[:, i]) for i in range(3)], axis=1)
-        rate0, rate1 = rate[:-1].copy(), rate[1:].copy()
+        rate0, rate1 = rate[:-1].copy(), rate[1:]
     else:
         rate0 = imu.gyro_b[np.searchsorted(imu.t, grid[1:], side="left")].copy()
         rate1 = rate0.copy()

@@ -55,6 +55,19 @@ def motion_density(noise: Noise, rate: Array) -> Array:
     return np.asarray(noise.n_r + 2.0 * SCALE_CORRELATION_S * noise.gyro_scale**2 * np.sum(rate**2, axis=1))
 
 
+def clipped_density(t: Array, density: Array | None, edges: Array) -> Array:
+    r"""Return what clipped samples add to the noise between ``edges`` (m + 1,) s: the mean (m,) of its spectral
+    density, :math:`\frac1T\int n_c^2\,dt`.
+
+    ``density`` (n,): that of the samples at ``t``, per sqrt(Hz), linear in between; None adds nothing.
+    """
+    if density is None:
+        return np.zeros(len(edges) - 1)
+    added = 0.5 * (density[1:] ** 2 + density[:-1] ** 2) * np.diff(t)
+    total = np.interp(edges, t, np.concatenate([[0.0], np.cumsum(added)]))
+    return np.asarray(np.diff(total) / np.diff(edges))
+
+
 def stop_ranges(log: Log, segmentation: Segmentation) -> list[tuple[int, int]]:
     """Return the IMU samples ``[lo, hi)`` of the used part of each stop."""
     t = log.imu.t

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..records import Fixes, Imu, Log, Recording, Warn
+from ..records import Fixes, Log, Recording, Warn
 from ..settings import Settings
 from .calibration import calibrated
 from .clock import seconds
@@ -49,7 +49,7 @@ def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
         sources=tuple(recording.source for recording in recordings),
         t0_ns=rows.t0_ns,
         stamps_ns=rows.stamps_ns,
-        imu=Imu(seconds(rows.stamps_ns, rows.t0_ns), rows.gyro_b, rows.accel_b),
+        imu=rows.imu,
         fixes=fixes,
         gaps=seconds(rows.holes_ns, rows.t0_ns),
         coverage=_coverage(rows),

@@ -16,7 +16,8 @@ from .fixes import CONVERTERS
 
 UNITS: Mapping[str, str] = {
     "gyro": "rad/s", "accel": "m/s^2", "mag": "uT", "velocity": "m/s", "speed": "m/s", "position": "m",
-    "latitude": "deg", "longitude": "deg", "altitude": "m", "gps": "m", "compass": "deg", "temperature": "degC",
+    "latitude": "deg", "longitude": "deg", "altitude": "m", "gps": "m", "baro": "m", "compass": "deg",
+    "temperature": "degC",
 }  # fmt: skip
 """First word of a column -> unit of attest's own logs."""
 

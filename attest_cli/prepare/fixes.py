@@ -17,7 +17,7 @@ from .clock import in_order, seconds
 STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
 
-CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps"})
+CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def _inside(role: str, name: str, stamps_ns: Ints, span: Span, settings: Setting
 
 def _usable(role: str, values: Array) -> Bools:
     """Tell the rows that hold a measurement; zero vectors and quaternions are none."""
-    needed = {"odometry": 1, "gps": 2, "position": 2}.get(role, values.shape[1])
+    needed = {"odometry": 1, "gps": 2, "gps_velocity": 2, "position": 2}.get(role, values.shape[1])
     usable: Bools = np.all(np.isfinite(values[:, :needed]), axis=1)
     return usable & (np.abs(values[:, 0]) <= np.pi / 2) if role == "gps" else usable
 
@@ -101,6 +101,8 @@ def _fresh(role: str, name: str, values: Array, warnings: list[Warn]) -> Bools:
     starts = np.append(np.True_, np.any(values[1:] != values[:-1], axis=1))
     runs = np.diff(np.append(np.flatnonzero(starts), starts.size))
     fresh: Bools = starts | ~np.repeat(runs > STALE_RUN, runs)
+    if role == "gps_velocity":
+        fresh |= ~np.any(values, axis=1)  # a receiver that stands still may say so
     stale = int(np.count_nonzero(~fresh))
     if stale:
         what = f"{stale} of {len(values)} measurements of {name} ({role})"
@@ -180,6 +182,23 @@ def _gps(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values: 
     return np.concatenate([place, height], axis=1), sigma
 
 
+def _gps_velocity(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    """East, north, up; a receiver may state down instead, and one sigma for all axes."""
+    values = np.full((channel.stamps_ns.size, 3), np.nan)
+    values[:, :2] = _columns(channel, COLUMNS["gps_velocity"][:2], "m/s")
+    for name, sign in (("velocity_down", -1.0), ("velocity_up", 1.0)):
+        if name in channel.values:
+            values[:, 2:] = sign * _columns(channel, (name,), "m/s")
+    if "velocity_sigma" not in channel.values:
+        return values, None
+    sigma = _columns(channel, ("velocity_sigma",), "m/s")  # zero and negative ones are how receivers say: none
+    return values, np.repeat(np.where(sigma > 0.0, sigma, np.nan), 3, axis=1)
+
+
+def _height(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+    return _columns(channel, COLUMNS["height"], "m"), None
+
+
 def _position(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
     values = np.full((channel.stamps_ns.size, 3), np.nan)
     names = tuple(name for name in COLUMNS["position"] if name in channel.values)
@@ -199,7 +218,9 @@ CONVERTERS: Mapping[str, Callable[[Channel, Settings, list[Warn]], Values]] = {
     "orientation": _orientation,
     "odometry": _odometry,
     "gps": _gps,
+    "gps_velocity": _gps_velocity,
     "position": _position,
+    "height": _height,
     "temperature": _temperature,
 }
 """Role -> function from a channel to values and sigmas in the units of ``Fixes``."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from ..errors import AttestError
 from ..maths import rotation
-from ..records import COLUMNS, Array, Bools, Channel, Ints, Warn
+from ..records import COLUMNS, Array, Bools, Channel, Imu, Ints, Warn
 from ..settings import Settings
-from . import units
+from . import clipping, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
@@ -26,8 +26,7 @@ class ImuRows:
 
     t0_ns: int
     stamps_ns: Ints
-    gyro_b: Array
-    accel_b: Array
+    imu: Imu
     holes_ns: Ints
     rows_in: int
     seconds_in: float
@@ -77,24 +76,44 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRow
     holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
     if holes_ns.size:
         warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns)))
-    return ImuRows(t0_ns, stamps_ns, gyro, accel, holes_ns, first.rows_in, seconds_in, tuple(warnings))
+    imu = _unclipped(f"{files}: {parts[0].name}", Imu(seconds(stamps_ns, t0_ns), gyro, accel), warnings)
+    return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, first.rows_in, seconds_in, tuple(warnings))
 
 
 def _in_si(
     parts: Sequence[Channel], stamps_ns: Ints, t0_ns: int, table: Array, settings: Settings, warnings: list[Warn]
 ) -> tuple[Array, Array]:
-    """Return angular rate and specific force in SI and body axes of the raw ``table`` (n, 6)."""
+    """Return angular rate and specific force in SI of the raw ``table`` (n, 6), in the sensor's axes."""
     t = seconds(stamps_ns, t0_ns)
     gyro_part, accel_part = (
         replace(part, stamps_ns=stamps_ns, values={n: table[:, COLUMNS["imu"].index(n)] for n in names})
         for part, names in ((parts[0], COLUMNS["gyro"]), (parts[-1], COLUMNS["accel"]))
     )
     accel = units.accelerometer(accel_part, COLUMNS["accel"], t, settings.world.gravity_m_s2, warnings)
-    gyro = units.gyroscope(gyro_part, COLUMNS["gyro"], t, accel, warnings)
-    if settings.imu.mounting != "auto":
-        R_bs = rotation.matrix(np.array(settings.imu.mounting))
-        gyro, accel = gyro @ R_bs.T, accel @ R_bs.T
-    return gyro, accel
+    return units.gyroscope(gyro_part, COLUMNS["gyro"], t, accel, warnings), accel
+
+
+def _unclipped(name: str, imu: Imu, warnings: list[Warn]) -> Imu:
+    """Draw the gyro where it ran out of its range; make clipped samples noisier, and say so."""
+    found = clipping.clipped(imu.t, imu.gyro_b, clipping.GYRO_FLOOR)
+    if found:
+        warnings.append(clipping.told(name, "gyro", found, "rad/s"))
+        gyro, density = clipping.repaired(imu.t, imu.gyro_b, found, clipping.GYRO_DENSITY)
+        imu = replace(imu, gyro_b=gyro, gyro_clipped=density)
+    found = clipping.clipped(imu.t, imu.accel_b, clipping.ACCEL_FLOOR)
+    if found:
+        warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
+        _, density = clipping.repaired(imu.t, imu.accel_b, found, clipping.ACCEL_DENSITY)
+        imu = replace(imu, accel_clipped=density)
+    return imu
+
+
+def _in_body(imu: Imu, settings: Settings) -> Imu:
+    """Turn the IMU into body axes where the user says how it is mounted."""
+    if settings.imu.mounting == "auto":
+        return imu
+    R_bs = rotation.matrix(np.array(settings.imu.mounting))
+    return replace(imu, gyro_b=imu.gyro_b @ R_bs.T, accel_b=imu.accel_b @ R_bs.T)
 
 
 def first_stamp(stamps_ns: Ints) -> int:

@@ -136,6 +136,9 @@ def _playing(role: str, channel: Channel, found: Sequence[Channel]) -> Channel:
     columns = [name for name in channel.values if "sigma" not in name]
     if names[0] in channel.values or (role == "odometry" and "speed" in channel.values):
         return replace(channel, role=role)
+    if role == "gps_velocity" and set(COLUMNS["odometry"]) <= channel.values.keys():  # a twist in the world's axes
+        values = {new: channel.values[old] for new, old in zip(names, COLUMNS["odometry"], strict=True)}
+        return replace(channel, role=role, values=values, units=dict.fromkeys(names, "m/s"))
     if len(columns) == len(names) and not channel.role:
         return replace(
             channel, role=role, values={names[k]: channel.values[c] for k, c in enumerate(columns)}, units={}
@@ -157,7 +160,7 @@ def _best(role: str, candidates: list[Channel], imu: Channel | None, warnings: l
     best = max(candidates, key=lambda channel: channel.stamps_ns.size)  # rate x span; the first of equals
     names = ", ".join(f"{channel.name} ({channel.stamps_ns.size} rows)" for channel in candidates)
     what = "IMUs" if role == "imu" else f"channels for {role}"
-    hint = f'[{role}] channel = "..." takes another'
+    hint = f"--map {role}=... takes another"
     warnings.append(Warn("several-channels", f"{len(candidates)} {what}: {names}; {best.name} is used", hint))
     return best
 
@@ -187,8 +190,6 @@ def _nothing(other: Mapping[str, str], count: int = 5) -> str:
 
 def _way_out(other: Mapping[str, str]) -> str:
     kinds = " ".join(other.values())
-    if "(ros1)" in kinds:
-        return "ROS 1 messages are not read: convert with rosbags-convert to ROS 2"
     if "(protobuf)" in kinds or "(json)" in kinds:
-        return "protobuf and JSON are not read: record ROS 2 messages, or export a CSV"
-    return "attest needs gyro and accelerometer, in ROS 2 a sensor_msgs/msg/Imu in CDR"
+        return "types of one's own in protobuf and JSON are not read: record a sensor_msgs/Imu, or export a CSV"
+    return "attest needs gyro and accelerometer, in ROS a sensor_msgs/Imu"

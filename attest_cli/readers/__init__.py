@@ -19,24 +19,25 @@ READERS: Mapping[str, str] = {
     "parquet": "attest_cli.readers.parquet_log",
     "mcap": "attest_cli.readers.mcap_log",
     "ulog": "attest_cli.readers.ulog_log",
+    "bag": "attest_cli.readers.bag_log",
+    "db3": "attest_cli.readers.bag_log",
 }
 """Format -> module with ``read(path, settings) -> Recording``."""
 
-MAGIC: Mapping[bytes, str] = {b"\x89MCAP0\r\n": "mcap", b"PAR1": "parquet", b"ULog\x01\x12\x35": "ulog"}
+MAGIC: Mapping[bytes, str] = {
+    b"\x89MCAP0\r\n": "mcap", b"PAR1": "parquet", b"ULog\x01\x12\x35": "ulog", b"#ROSBAG V2.0\n": "bag",
+    b"SQLite format 3\x00": "db3",
+}  # fmt: skip
 """First bytes of a file -> format."""
 
 SUFFIXES: Mapping[str, str] = {
     ".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".pq": "parquet", ".mcap": "mcap",
-    ".ulg": "ulog",
+    ".ulg": "ulog", ".bag": "bag", ".db3": "db3",
 }  # fmt: skip
 """Suffix -> format, where the first bytes do not tell."""
 
 UNREADABLE: Mapping[bytes, tuple[str, str]] = {
-    b"#ROSBAG V": (
-        "a ROS 1 bag",
-        "convert it to a ROS 2 MCAP with rosbags-convert (mcap convert keeps ROS 1 messages)",
-    ),
-    b"SQLite format 3\x00": ("an SQLite file (a ROS 2 .db3 bag?)", "convert it to MCAP with mcap convert"),
+    b"#ROSBAG V": ("a bag of an old version of ROS 1", "convert it with rosbag fix or rosbags-convert"),
     b"PK\x03\x04": ("a zip archive or spreadsheet", "unpack it, or save the sheet as CSV"),
     b"\x1f\x8b": ("a gzip file", "unpack it with gunzip"),
     b"\x28\xb5\x2f\xfd": ("a zstd file", "unpack it with zstd -d"),
@@ -77,9 +78,9 @@ def read(path: Path, settings: Settings) -> Recording:
     Parameters
     ----------
     path : Path
-        CSV, Parquet or MCAP file.
+        CSV, Parquet, MCAP, PX4 ULog, ROS 1 bag or ROS 2 db3.
     settings : Settings
-        ``time.source``: which stamp of a message counts; ``table``: how a text log is written.
+        ``time.source``: which stamp of a message counts; ``table``: how a table is written.
 
     Returns
     -------
@@ -94,11 +95,19 @@ def read(path: Path, settings: Settings) -> Recording:
     name = format_of(path)
     reader = importlib.import_module(READERS[name])
     recording: Recording = reader.read(path, settings)
-    if name != "csv" and settings.table != Table():
-        message = f"{path.name}: no text log: --columns, --time-unit, --sample-rate and [table] do nothing for it"
-        told = Warn("no-text-log", message, "convert it to CSV with attest convert, if its columns need other names")
-        recording = replace(recording, warnings=(*recording.warnings, told))
-    return recording
+    told = _unused_table(path, name, settings.table)
+    return replace(recording, warnings=(*recording.warnings, *told)) if told else recording
+
+
+def _unused_table(path: Path, name: str, table: Table) -> tuple[Warn, ...]:
+    """Say which settings of tables do nothing for this file."""
+    if name == "parquet" and (table.rows or table.delimiter or table.decimal):
+        message = f"{path.name}: Parquet is no text: types of rows, delimiter and decimal mark do nothing for it"
+        return (Warn("no-text-log", message, '--columns "OLD=gyro_x [rad/s],..." gives its columns other names'),)
+    if name not in {"csv", "parquet"} and table != Table():
+        message = f"{path.name}: no table: --columns, --time-unit, --sample-rate and [table] do nothing for it"
+        return (Warn("no-text-log", message, "convert it to CSV with attest convert, if its columns need other names"),)
+    return ()
 
 
 def _first_bytes(path: Path) -> bytes:
@@ -108,12 +117,24 @@ def _first_bytes(path: Path) -> bytes:
     except FileNotFoundError:
         raise AttestError(f"{path}: no such file", _nearby(path)) from None
     except IsADirectoryError:
-        raise AttestError(f"{path}: this is a folder", "name the log file itself") from None
+        raise AttestError(*_folder(path)) from None
     except OSError as error:
         raise AttestError(f"{path}: cannot be read: {error.strerror}") from None
     if not head:
         raise AttestError(f"{path}: the file is empty", "was the recording or the copy cut short?")
     return head
+
+
+def _folder(path: Path) -> tuple[str, str]:
+    """Say what to name instead of a folder; ROS 2 keeps a bag in one."""
+    names = sorted(entry.name for entry in path.iterdir()) if os.access(path, os.R_OK) else []
+    what = "the folder of a ROS 2 bag" if "metadata.yaml" in names else "a folder"
+    logs = [str(path / name) for name in names if Path(name).suffix.lower() in {".db3", ".mcap", ".bag"}]
+    more = f" and {len(logs) - 4} more" if len(logs) > 4 else ""
+    return (
+        f"{path}: this is {what}",
+        f"name its files: {' '.join(logs[:4])}{more}" if logs else "name the log file itself",
+    )
 
 
 def _nearby(path: Path) -> str:

@@ -34,6 +34,19 @@ GLUED: Mapping[str, str] = {"g": "gyro", "w": "gyro", "a": "accel", "m": "mag", 
 """Single letters that count only glued to the axis and without an instance: ``gx``, ``ax``, ``qw``."""
 
 SCALARS: Mapping[str, tuple[str, ...]] = {
+    "baro_height": (
+        "baro_height", "baro_altitude", "baro_alt", "height_baro", "altitude_baro", "alt_baro", "barometer_height",
+        "barometer_altitude", "barometric_height", "barometric_altitude", "pressure_altitude", "relative_altitude",
+        "altimeter", "altimeter_height", "altimeter_altitude",
+    ),
+    **{
+        f"velocity_{name}": (
+            f"velocity_{name}", f"{name}_velocity", f"vel_{name}", f"velocity_{a}", f"vel_{a}", f"v_{a}", f"v{a}",
+            f"v_{name}", *(f"{stem}_{a}" for stem in ("velocity_ned", "vel_ned", "velocity_enu", "vel_enu")),
+        )
+        for name, a in (("east", "e"), ("north", "n"), ("up", "u"), ("down", "d"))
+    },
+    "velocity_sigma": ("speed_accuracy", "velocity_accuracy"),
     "latitude": ("latitude", "lat"),
     "longitude": ("longitude", "lon", "lng", "long"),
     "altitude": ("altitude", "alt", "height"),
@@ -42,7 +55,7 @@ SCALARS: Mapping[str, tuple[str, ...]] = {
     "compass_deg": ("compass", "compass_heading", "heading"),
     "speed": ("speed", "forward_speed", "wheel_speed"),
     "temperature_c": ("temperature", "temp"),
-}
+}  # fmt: skip
 """Canonical name -> aliases, words joined by ``_`` and without a unit."""
 
 TIME = (
@@ -79,8 +92,10 @@ CANONICAL_UNITS: Mapping[str, str] = {
     **{f"velocity_{axis}": "m/s" for axis in "xyz"},
     **{f"position_{axis}": "m" for axis in "xyz"},
     "speed": "m/s", "compass_deg": "deg", "latitude": "deg", "longitude": "deg", "altitude": "m", "gps_sigma_m": "m",
-    "gps_sigma_up_m": "m", "temperature_c": "degC", "timestamp_ns": "ns", "mag_sigma": "uT",
+    "gps_sigma_up_m": "m", "baro_height": "m", "velocity_sigma": "m/s", "temperature_c": "degC",
+    "timestamp_ns": "ns", "mag_sigma": "uT",
     **{f"velocity_sigma_{axis}": "m/s" for axis in "xyz"},
+    **{f"velocity_{way}": "m/s" for way in ("east", "north", "up", "down")},
 }  # fmt: skip
 """Unit of a column that bears its canonical name (``interface.md``, Roles)."""
 

@@ -9,7 +9,7 @@ from typing import Any
 from ..errors import AttestError
 
 
-def extra(path: Path, module: str, name: str, what: str) -> Any:
+def extra(path: Path, module: str, name: str, what: str, package: str = "") -> Any:
     """Return a module of an extra.
 
     Parameters
@@ -20,6 +20,8 @@ def extra(path: Path, module: str, name: str, what: str) -> Any:
         Of the extra.
     what : str
         What the file holds that needs it.
+    package : str
+        Its name in the registry, where that is another than the module's.
 
     Raises
     ------
@@ -29,6 +31,6 @@ def extra(path: Path, module: str, name: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        package = module.partition(".")[0]
-        message = f"{path}: {what} is read with the package {package}, which is not installed"
+        needed = package or module.partition(".")[0]
+        message = f"{path}: {what} is read with the package {needed}, which is not installed"
         raise AttestError(message, f"pip install 'attest-cli[{name}]'") from None

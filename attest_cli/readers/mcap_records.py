@@ -228,7 +228,7 @@ def _described(opcode: int, body: bytes | bytearray, offset: int) -> Schema | Ch
     source = ReadDataStream(io.BytesIO(body))
     try:
         record: Schema | Channel = Schema.read(source) if opcode == Opcode.SCHEMA else Channel.read(source)
-    except (struct.error, ValueError, EOFError) as error:
+    except (struct.error, ValueError, EOFError, OverflowError) as error:
         raise DamagedError(offset, f"an unreadable {Opcode(opcode).name.lower()} ({error})") from None
     return record
 
@@ -237,7 +237,7 @@ def _unpack(body: bytes, offset: int) -> bytes:
     """Unpack a chunk to exactly the size it states, and verify its checksum."""
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
-    except (struct.error, ValueError, EOFError) as error:
+    except (struct.error, ValueError, EOFError, OverflowError) as error:
         raise DamagedError(offset, f"an unreadable chunk ({error})") from None
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         limit = MAX_CHUNK_BYTES >> 20

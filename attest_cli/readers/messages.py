@@ -1,5 +1,5 @@
-"""ROS 2 messages that attest reads: type -> role, the fields used, canonical columns, units, and how one becomes the
-other.
+"""Messages of ROS and Foxglove that attest reads: type -> role, the fields used, canonical columns, units, and how one
+becomes the other.
 """
 
 from __future__ import annotations
@@ -28,15 +28,24 @@ def unchanged(fields: Array) -> Array:
     return fields
 
 
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+FRAME = "header.frame_id"
+
+
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """How one message type is read: ``table`` makes ``columns`` (c, n) of the ``fields`` (k, n) of n messages."""
+    """How one message type is read: ``table`` makes ``columns`` (c, n) of the ``fields`` (k, n) of n messages.
+
+    ``stamp``: the fields of seconds and nanoseconds; ``frame``: that of the frame's name.
+    """
 
     columns: tuple[str, ...]
     units: tuple[str, ...]
     fields: tuple[str, ...]
     table: Callable[[Array], Array]
     channels: Callable[[str, str, Ints, Mapping[str, Array], Mapping[str, str]], Sequence[Channel]]
+    stamp: tuple[str, str] = STAMP
+    frame: str = FRAME
 
 
 def _sigma(*variances: Array) -> Array:
@@ -105,6 +114,19 @@ def _fix(f: Array) -> Array:
     return _blank(np.stack([*place, _sigma(known[0], known[1]), _sigma(known[2])]), status < 0.0)
 
 
+def _location(f: Array) -> Array:
+    """As a NavSatFix, but without a status: Foxglove has none."""
+    return _fix(np.concatenate([np.zeros((1, f.shape[1])), f]))
+
+
+def _pose_channels(
+    topic: str, kind: str, stamps_ns: Ints, values: Mapping[str, Array], units: Mapping[str, str]
+) -> Sequence[Channel]:
+    """Split a pose, which is what another filter made of the sensors, into two channels without a role."""
+    parts = (("orientation", COLUMNS["orientation"]), ("position", COLUMNS["position"]))
+    return [_only(f"{topic}#{part}", kind, "", stamps_ns, values, units, columns) for part, columns in parts]
+
+
 def _odometry(f: Array) -> Array:
     velocity, variances = f[:3], f[3:]
     return np.stack([*_blank(velocity, variances >= IGNORED_VARIANCE), *map(_sigma, variances)])
@@ -137,6 +159,7 @@ _FIX_FIELDS = (
     "status.status", "position_covariance_type", "latitude", "longitude", "altitude",
     *_of("position_covariance", "[0]", "[4]", "[8]"),
 )  # fmt: skip
+_FOXGLOVE = (("timestamp.sec", "timestamp.nanosec"), "frame_id")
 
 TYPES: Mapping[str, MessageType] = {
     "sensor_msgs/msg/Imu": MessageType(
@@ -172,5 +195,13 @@ TYPES: Mapping[str, MessageType] = {
     "geometry_msgs/msg/Vector3Stamped": MessageType(
         ("x", "y", "z"), ("", "", ""), _of("vector", *XYZ), unchanged, _vector_channels
     ),
+    "foxglove.LocationFix": MessageType(
+        (*COLUMNS["gps"], "gps_sigma_m", "gps_sigma_up_m"), ("deg", "deg", "m", "m", "m"), _FIX_FIELDS[1:], _location,
+        _plain("gps"), *_FOXGLOVE,
+    ),
+    "foxglove.PoseInFrame": MessageType(
+        (*COLUMNS["orientation"], *COLUMNS["position"]), ("1",) * 4 + ("m",) * 3,
+        (*_of("pose.orientation", ".w", *XYZ), *_of("pose.position", *XYZ)), unchanged, _pose_channels, *_FOXGLOVE,
+    ),
 }  # fmt: skip
-"""Schema name -> how it is read. All have a ``std_msgs/Header``."""
+"""Schema name -> how it is read. Those of ROS have a ``std_msgs/Header``."""

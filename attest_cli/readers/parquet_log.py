@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,34 +10,52 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..errors import AttestError
-from ..records import Array, Bools, Ints, Recording, Warn
+from ..records import Array, Bools, Recording, Warn
 from ..settings import Settings
 from . import stamps
-from .arrow import numbers
+from .arrow import is_number, numbers
+from .columns import Column
 from .tables import Layout, check_size, layout_of, recording_of
+from .text_stamps import Stamps, at_rate, unwrapped
+
+NS_PER_S = 1_000_000_000
 
 
-def read(path: Path, settings: Settings) -> Recording:  # noqa: ARG001 (every reader has this signature)
+def read(path: Path, settings: Settings) -> Recording:
     """Read a Parquet table into channels; see ``readers.read``."""
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
         schema = file.schema_arrow
-        layout = layout_of(path, schema.names, [_stated_unit(schema.field(i)) for i in range(len(schema.names))])
-        used = [layout.time, *layout.columns]
-        check_size(path, file.metadata.num_rows, len(used))
-        time = file.read([layout.time.name]).column(layout.time.name)
-        if len(time) == 0:
+        names = _named(path, schema.names, settings.table.columns)
+        units = [_stated_unit(schema.field(i)) for i in range(len(names))]
+        rate, recorder = settings.table.sample_rate_hz, settings.time.source != "header"
+        layout = layout_of(path, names, units, settings.table, rate_hz=rate, recorder=recorder)
+        rows = file.metadata.num_rows
+        check_size(path, rows, len(layout.times) + len(layout.columns))
+        if rows == 0:
             raise AttestError(f"{path}: the table has no rows", "was the recording empty?")
+        times = {c.index: _column(file, schema, c.index) for c in layout.times}
         values = {  # one by one: all at once would be held twice
-            column.index: _floats(path, column.name, file.read([column.name]).column(column.name))
-            for column in layout.columns
+            c.index: _floats(path, c.name, _column(file, schema, c.index)) for c in layout.columns
         }
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0]
         raise AttestError(
             f"{path}: damaged Parquet: {reason}", "copy it again; a damaged page cannot be mended"
         ) from None
-    return recording_of(path, "parquet", layout, values, lambda imu_rows: _stamps(path, layout, time, imu_rows))
+    return recording_of(path, "parquet", layout, values, lambda imu_rows: _stamps(path, layout, times, imu_rows))
+
+
+def _named(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    """Put the names of the settings, where there are any, in place of all those of the file."""
+    if wanted and len(wanted) != len(names):
+        message = f"{path}: {len(wanted)} columns are named, but the table has {len(names)}"
+        raise AttestError(message, 'name all of them with --columns, "-" for one that is not used')
+    return list(wanted or names)
+
+
+def _column(file: pq.ParquetFile, schema: pa.Schema, index: int) -> pa.ChunkedArray:
+    return file.read([schema.names[index]]).column(0)
 
 
 def _stated_unit(field: pa.Field) -> str:
@@ -54,17 +73,37 @@ def _floats(path: Path, name: str, column: pa.ChunkedArray) -> Array:
     return np.asarray(numbers(cast), dtype=np.float64)
 
 
-def _stamps(
-    path: Path, layout: Layout, column: pa.ChunkedArray, imu_rows: Bools
-) -> tuple[Ints, Array, tuple[Warn, ...]]:
-    kind, unit = column.type, layout.time.unit
+def _stamps(path: Path, layout: Layout, times: Mapping[int, pa.ChunkedArray], imu_rows: Bools) -> Stamps:
+    """Return the time of the rows; whole seconds in a column of their own are added to a time within the second."""
+    if layout.rate_hz is not None:
+        counter = times.get(layout.time.index)
+        count = np.arange(imu_rows.size) if counter is None else unwrapped(_floats(path, layout.time.name, counter))
+        return (*at_rate(count.astype(np.float64), layout.rate_hz), ())
+    time, told = layout.time, tuple[Warn, ...]()
+    if layout.recorder is not None and _all_zero(times[time.index]):
+        time = layout.recorder
+        message = f"{path.name}: {layout.time.name!r} is zero in every row; {time.name!r} is used"
+        told = (Warn("zero-stamps", message, "let the driver fill in header.stamp"),)
+    found, valid, guessed = _of_column(path, time, times[time.index], imu_rows)
+    if layout.seconds is not None and time is layout.time and int(np.max(found, initial=0)) < NS_PER_S:
+        whole, known, _ = _of_column(path, layout.seconds, times[layout.seconds.index], imu_rows)
+        found, valid = found + whole, valid + 0.0 * known
+    return found, valid, (*told, *guessed)
+
+
+def _all_zero(column: pa.ChunkedArray) -> bool:
+    return is_number(column.type) and not np.any(np.nan_to_num(numbers(column)))
+
+
+def _of_column(path: Path, time: Column, column: pa.ChunkedArray, imu_rows: Bools) -> Stamps:
+    kind, unit = column.type, time.unit
     if pa.types.is_string(kind) or pa.types.is_large_string(kind):
         column = stamps.parse_dates(column, path)
         kind = column.type
     if pa.types.is_timestamp(kind):
         return (*stamps.from_dates(column), ())
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        raise AttestError(f"{path}: the time column {layout.time.name!r} is of type {kind}", stamps.WAY_OUT)
+        raise AttestError(f"{path}: the time column {time.name!r} is of type {kind}", stamps.WAY_OUT)
     counts = numbers(column)
     told: tuple[Warn, ...] = ()
     if unit not in stamps.DIGITS:

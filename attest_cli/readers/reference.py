@@ -83,6 +83,8 @@ def read_poses(path: Path, channel: str | None = None) -> Poses:
         return _finished(path, poses, ned=ned)
     if channel is not None:
         raise AttestError(f"{path}: has no channels: --channel is for MCAP", "leave it out")
+    if found not in {"csv", "parquet"}:
+        raise AttestError(f"{path}: no reference is read from this kind of file", "name its track as MCAP, TUM or CSV")
     table = _parquet(path) if found == "parquet" else _tum(path) if _is_tum(path) else _text(path)
     return _poses(path, table)
 

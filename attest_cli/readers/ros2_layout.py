@@ -1,7 +1,8 @@
-"""Where the fields of ROS 2 messages stand in their bytes, so that many messages are read at once.
+"""Where the fields of ROS messages stand in their bytes, so that many messages are read at once.
 
-Only what is sure: little-endian CDR of numbers, arrays of fixed size and strings that are the same in all messages. Of
-anything else ``fields_of``, ``layout_of`` and ``Layout.table`` return None, and the library decodes message by message.
+Only what is sure: little-endian CDR, or ROS 1, of numbers, arrays of fixed size and strings that are the same in all
+messages. Of anything else ``fields_of``, ``layout_of`` and ``Layout.table`` return None, and messages are decoded one
+by one.
 """
 
 from __future__ import annotations
@@ -43,18 +44,19 @@ class Field:
 @dataclass(frozen=True, slots=True)
 class Layout:
     """Bytes of one message: ``wanted`` (offset, type) of the fields asked for, ``fixed`` (offset, bytes) what must be
-    the same in every message, and the bytes ``needed`` in all.
+    the same in every message, and the bytes ``needed`` in all; ``exact``: no message has more.
     """
 
     wanted: tuple[tuple[int, np.dtype[np.generic]], ...]
     fixed: tuple[tuple[int, Bytes], ...]
     needed: int
+    exact: bool = False
 
     def table(self, data: Bytes, start: Ints, size: Ints) -> Array | None:
         """Return the fields asked for (k, m) of the messages ``data[start : start + size]``, or None where one is not
         laid out like this.
         """
-        if int(size.min()) < self.needed:
+        if int(size.min()) < self.needed or (self.exact and int(size.max()) > self.needed):
             return None
         whole = np.dtype((np.void, self.needed))
         every: NDArray[np.void] = np.ndarray((data.size - self.needed + 1,), whole, data, strides=(1,))
@@ -79,17 +81,18 @@ def fields_of(name: str, text: str) -> tuple[Field, ...] | None:
     return tuple(found) if _flatten(_short(name), "", known, found) else None
 
 
-def layout_of(fields: Sequence[Field], paths: Sequence[str], message: Bytes) -> Layout | None:
+def layout_of(fields: Sequence[Field], paths: Sequence[str], message: Bytes, *, packed: bool = False) -> Layout | None:
     """Return the layout of ``message``, all of whose strings count as fixed; None where it is not sure.
 
-    ``paths``: fields wanted, elements of arrays as ``name[3]``.
+    ``paths``: fields wanted, elements of arrays as ``name[3]``; ``packed``: ROS 1, end to end without encapsulation.
     """
-    if message.size < PREFIX or message[1] != LITTLE_ENDIAN:
+    prefix = 0 if packed else PREFIX
+    if message.size < prefix or (not packed and message[1] != LITTLE_ENDIAN):
         return None
-    at, places, fixed = PREFIX, dict[str, tuple[int, np.dtype[np.generic]]](), [(0, message[:PREFIX])]
+    at, places, fixed = prefix, dict[str, tuple[int, np.dtype[np.generic]]](), [(0, message[:prefix])]
     for f in fields:
         kind = np.dtype(f.kind or "<u4")
-        at += -(at - PREFIX) % kind.itemsize
+        at += 0 if packed else -(at - prefix) % kind.itemsize
         end = at + max(f.count, 1) * kind.itemsize
         if end > message.size:
             return None
@@ -101,7 +104,7 @@ def layout_of(fields: Sequence[Field], paths: Sequence[str], message: Bytes) -> 
         at = end
     if at > message.size or not all(path in places for path in paths):
         return None
-    return Layout(tuple(places[path] for path in paths), tuple(fixed), at)
+    return Layout(tuple(places[path] for path in paths), tuple(fixed), at, packed)
 
 
 def _flatten(name: str, prefix: str, known: dict[str, str], found: list[Field]) -> bool:

@@ -27,14 +27,16 @@ from .stamps import COUNT_HINT
 EXTRA: Mapping[str, tuple[str, ...]] = {
     "odometry": ("speed", "velocity_sigma_x", "velocity_sigma_y", "velocity_sigma_z"),
     "gps": ("gps_sigma_m", "gps_sigma_up_m"),
+    "gps_velocity": ("velocity_down", "velocity_sigma"),
     "magnetometer": ("mag_sigma",),
 }
 """Columns a role may have beside those of ``records.COLUMNS``."""
 
-SIGMAS = frozenset(name for names in EXTRA.values() for name in names) - {"speed"}
+SIGMAS = frozenset(name for names in EXTRA.values() for name in names) - {"speed", "velocity_down"}
+GPS_VELOCITY = frozenset({*COLUMNS["gps_velocity"], *EXTRA["gps_velocity"]})
 GPS = frozenset({*COLUMNS["gps"], *EXTRA["gps"]})
 
-NEEDED: Mapping[str, int] = {"gps": 2, "sun": 2, "odometry": 1, "position": 2}
+NEEDED: Mapping[str, int] = {"gps": 2, "gps_velocity": 2, "sun": 2, "odometry": 1, "position": 2}
 """How many of a role's columns must be there, where not all."""
 
 MAX_TABLE_BYTES = 2 << 30
@@ -255,6 +257,10 @@ def _groups(path: Path, layout: Layout, values: Mapping[int, Array]) -> list[tup
     found: list[tuple[str, str, dict[str, Column]]] = []
     for instance in instances:
         mine = {column.canonical: column for column in layout.columns if column.instance == instance}
+        if "altitude" in mine and not mine.keys() & {"latitude", "longitude", "baro_height"}:
+            mine["baro_height"] = mine.pop("altitude")  # a height without a place
+        if not {"velocity_east", "velocity_north"} <= mine.keys():  # half a velocity, or other things named so
+            mine = {name: column for name, column in mine.items() if name not in GPS_VELOCITY}
         for role in _roles(mine, values):
             names = (*COLUMNS[role], *EXTRA.get(role, ()))
             columns = {name: mine[name] for name in names if name in mine}

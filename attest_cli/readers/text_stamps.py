@@ -87,6 +87,11 @@ def _counted(layout: Layout, table: pa.Table, rate_hz: float) -> tuple[Ints, Arr
         count = np.arange(table.num_rows, dtype=np.float64)
     else:
         count = unwrapped(_floats(table.column(str(layout.time.index))))
+    return at_rate(count, rate_hz)
+
+
+def at_rate(count: Array, rate_hz: float) -> tuple[Ints, Array]:
+    """Return stamps (n,) ns of a counter at ``rate_hz`` per second, and where they are valid (1.0 or NaN)."""
     with np.errstate(over="ignore"):  # a damaged cell
         ns = count * (1e9 / rate_hz)
     good = np.abs(ns) < 2.0**63

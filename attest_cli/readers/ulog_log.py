@@ -22,6 +22,7 @@ from ..records import COLUMNS, Array, Channel, Ints, Recording, Warn
 from ..settings import Settings
 from .extras import extra
 from .reference import ENU_FROM_NED, FLU_FROM_FRD
+from .topics import line
 
 Data = Mapping[str, NDArray[Any]]
 MOST_FIELDS = 4096
@@ -72,7 +73,7 @@ def _load(path: Path, library: Any, warnings: list[Warn]) -> Any:
             log = library.ULog(kept, message_name_filter_list=list(TOPICS))
             given_up = bool(stream.read(1))  # it stops without a word at some kinds of damage
     except faults as error:
-        raise AttestError(f"{path}: damaged ULog: {error}", AGAIN) from None
+        raise AttestError(f"{path}: damaged ULog: {line(error)}", AGAIN) from None
     except OSError as error:
         raise AttestError(f"{path}: cannot be read: {error.strerror}") from None
     if log.file_corruption or given_up:
@@ -139,11 +140,14 @@ def _stamps(path: Path, name: str, data: Data, source: str) -> Ints:
     return stamps.astype(np.int64) * NS_PER_US
 
 
+def _floats(column: NDArray[Any]) -> Array:
+    with np.errstate(invalid="ignore"):  # a NaN that signals is one all the same
+        return column.astype(np.float64)
+
+
 def _vector(data: Data, name: str) -> Array:
     """Return a vector of the body (n, 3), turned to forward-left-up."""
-    return np.stack(
-        [data[f"{name}[{k}]"].astype(np.float64) * sign for k, sign in enumerate((1.0, -1.0, -1.0))], axis=1
-    )
+    return np.stack([_floats(data[f"{name}[{k}]"]) * sign for k, sign in enumerate((1.0, -1.0, -1.0))], axis=1)
 
 
 def _channel(name: str, kind: str, role: str, stamps_ns: Ints, values: Array, unit: str | tuple[str, ...]) -> Channel:
@@ -181,7 +185,7 @@ def _imu(name: str, stamps_ns: Ints, data: Data, warnings: list[Warn]) -> list[C
     """Mean rate and force over the interval of each integral; a record without an interval is blank."""
     parts = []
     for which in ("delta_angle", "delta_velocity"):
-        span_s = data[f"{which}_dt"].astype(np.float64) * 1e-6
+        span_s = _floats(data[f"{which}_dt"]) * 1e-6
         parts.append(_vector(data, which) / np.where(span_s > 0.0, span_s, np.nan)[:, None])
     step_s = float(np.median(np.diff(stamps_ns))) * 1e-9 if stamps_ns.size > 1 else 0.0
     covered = float(np.median(data["delta_angle_dt"])) * 1e-6
@@ -205,10 +209,10 @@ def _gps(name: str, stamps_ns: Ints, data: Data, _: list[Warn]) -> list[Channel]
         height = ellipsoid if np.any(ellipsoid) else data["alt"]
         places = [data["lat"] * 1e-7, data["lon"] * 1e-7, height * 1e-3]
     fix = data["fix_type"]
-    columns = dict(zip(COLUMNS["gps"], (np.where(fix < 2, np.nan, p.astype(np.float64)) for p in places), strict=True))
+    columns = dict(zip(COLUMNS["gps"], (np.where(fix < 2, np.nan, _floats(p)) for p in places), strict=True))
     columns["altitude"] = np.where(fix < 3, np.nan, columns["altitude"])
     for column, stated in (("gps_sigma_m", "eph"), ("gps_sigma_up_m", "epv")):
-        sigma = data[stated].astype(np.float64)
+        sigma = _floats(data[stated])
         columns[column] = np.where(sigma > 0.0, sigma, np.nan)
     units = {column: "deg" if column in {"latitude", "longitude"} else "m" for column in columns}
     return [Channel(name, "vehicle_gps_position", "gps", stamps_ns, columns, units)]
@@ -216,7 +220,7 @@ def _gps(name: str, stamps_ns: Ints, data: Data, _: list[Warn]) -> list[Channel]
 
 def _attitude(name: str, stamps_ns: Ints, data: Data, _: list[Warn]) -> list[Channel]:
     """The autopilot's own attitude: a candidate without a role."""
-    q = np.stack([data[f"q[{k}]"].astype(np.float64) for k in range(4)], axis=1)
+    q = np.stack([_floats(data[f"q[{k}]"]) for k in range(4)], axis=1)
     turned = rotation.multiply(rotation.multiply(ENU_FROM_NED, q), FLU_FROM_FRD)
     return [_channel(f"{name}#orientation", "vehicle_attitude", "", stamps_ns, turned, "1")]
 

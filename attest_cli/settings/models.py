@@ -51,7 +51,9 @@ Role = Literal[
     "orientation",
     "odometry",
     "gps",
+    "gps_velocity",
     "position",
+    "height",
     "temperature",
 ]
 
@@ -168,10 +170,13 @@ class Odometry(Section):
 
 
 class Gps(Section):
-    """Satellite positions."""
+    """Satellite positions and velocities."""
 
     channel: str | None = Field(None, description="topic or column group; none: by type and name")
     sigma_m: Metres | None = Field(None, description="noise per axis; none: as the log states, else 3 m")
+    velocity_sigma_m_s: Speed | None = Field(
+        None, description="noise per axis of GPS velocity; none: as the log states, else 0.1 m/s"
+    )
     lever_arm_m: LeverArm = Field(
         "auto", description="from the IMU to the antenna, body axes; auto: as the drive shows, else 0"
     )
@@ -185,6 +190,13 @@ class Position(Section):
     lever_arm_m: LeverArm = Field(
         "auto", description="from the IMU to the point that is tracked, body axes; auto: as the drive shows, else 0"
     )
+
+
+class Height(Section):
+    """Height from a barometer or an altimeter, counted from anywhere."""
+
+    channel: str | None = Field(None, description="topic or column group; none: by type and name")
+    sigma_m: Metres = Field(0.5, description="noise of one reading; a MEMS barometer")
 
 
 class Stops(Section):
@@ -210,7 +222,7 @@ class Smoothing(Section):
 
     filter: Literal[
         "auto", "indirect", "navigation", "tilt-ekf", "pseudo-linear", "projected", "geometric", "heading"
-    ] = Field("auto", description="forward filter; auto: indirect")
+    ] = Field("auto", description="forward filter; auto: navigation with positions or in a hand, else indirect")
     smoother: Literal["two-filter", "rts", "paper", "none"] = Field(
         "two-filter",
         description="two-filter and rts: the same optimum; paper: the literal procedure; none: forward only",
@@ -220,7 +232,8 @@ class Smoothing(Section):
         description="Gauss-Newton passes; auto: where a start in motion or far-off passes ask for them",
     )
     node_spacing_s: PositiveSeconds = Field(
-        0.1, description="largest step between nodes; error far below the noise at 100 Hz"
+        0.1,
+        description="step between nodes; in long motions of long logs up to five times that, if not stated",
     )
     absolute: Literal["auto", "stops", "always"] = Field(
         "auto", description="when absolute sensors count; auto: gravity and magnetometer at stops, directions always"
@@ -231,7 +244,8 @@ class Smoothing(Section):
     )
     zero_rate: bool = Field(True, description="the gyro's mean at a stop measures its bias")
     position: Literal["auto", "strapdown", "literal", "odometry", "none"] = Field(
-        "auto", description="auto: odometry if there, else strapdown; literal: eqs 41-44 of Roumeliotis et al. 1999"
+        "auto",
+        description="auto: the filter's own, else odometry, else strapdown; literal: Roumeliotis et al. 1999",
     )
 
 
@@ -285,6 +299,7 @@ class Settings(Section):
     odometry: Odometry = Odometry()
     gps: Gps = Gps()
     position: Position = Position()
+    height: Height = Height()
     stops: Stops = Stops()
     smoothing: Smoothing = Smoothing()
     navigation: Navigation = Navigation()

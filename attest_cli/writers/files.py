@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import AttestError
 
+ZSTD_LEVEL = -3  # a fifth of the time of level 1 less for 2 % more bytes: split floats hardly pack
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -119,6 +120,7 @@ def write_arrow(tables: Iterable[pa.Table], path: Path) -> None:
         elif pa.types.is_string(field.type):
             texts.append(field.name)
     how: dict[str, Any] = {"compression": "zstd", "use_dictionary": texts, "column_encoding": encodings}
+    how["compression_level"] = ZSTD_LEVEL
     how["write_statistics"] = stamps  # a query in time skips row groups by them; of other columns nobody asks
     with (
         atomic_write(path) as temporary,

@@ -22,7 +22,7 @@ from .ros2 import Message, bag, diagonal, quaternion, vector
 CANONICAL_UNITS: Mapping[str, str] = {
     "gyro": "rad/s", "accel": "m/s^2", "mag": "uT", "sun": "1", "q": "1", "velocity": "m/s", "position": "m",
     "speed": "m/s", "compass": "deg", "latitude": "deg", "longitude": "deg", "altitude": "m", "gps": "m",
-    "temperature": "degC",
+    "temperature": "degC", "baro": "m",
 }  # fmt: skip
 """First word of a column -> unit that its name implies in a table."""
 
@@ -231,6 +231,11 @@ def _fix(row: Row) -> Message:
     }
 
 
+def _over_ground(row: Row) -> Message:
+    up = row.get("velocity_up", -row.get("velocity_down", math.nan))
+    return {"vector": vector(row["velocity_east"], row["velocity_north"], up)}
+
+
 MESSAGES: Mapping[str, tuple[str, str, Callable[[Row], Any]]] = {
     "imu": ("/imu/data", "sensor_msgs/Imu", _imu),
     "gyro": ("/imu/gyro", "geometry_msgs/Vector3Stamped", _vector3("gyro_x", "gyro_y", "gyro_z")),
@@ -245,6 +250,7 @@ MESSAGES: Mapping[str, tuple[str, str, Callable[[Row], Any]]] = {
     ),
     "odometry": ("/odom", "nav_msgs/Odometry", _odometry),
     "gps": ("/fix", "sensor_msgs/NavSatFix", _fix),
+    "gps_velocity": ("/gps/velocity", "geometry_msgs/Vector3Stamped", _over_ground),
     "position": (
         "/position",
         "geometry_msgs/PointStamped",

@@ -6,7 +6,7 @@ region of the prediction; what was learnt. Settings are the defaults. Outages be
 come again 40 s after their end, one run each, pooled: where they lie matters as much as anything. "none": no fixes at
 all, yaw and translation fitted to them afterwards.
 
-Run: PYTHONPATH=. python benchmarks/accuracy/positions.py [--only KITTI] [--cases half,10,30]
+Run: PYTHONPATH=. python benchmarks/accuracy/positions.py [--only KITTI] [--cases half,10,30] [--picture FILE.png]
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from plots import INK, Panel, drawn
 from scipy.stats import chi2
 
 from attest_cli.filters import Drive
 from attest_cli.filters.navigation.aids import Place
-from attest_cli.filters.navigation.problem import place_of
+from attest_cli.filters.navigation.fixes import place_of
 from attest_cli.filters.navigation.rounds import Navigated, navigate, shifted
 from attest_cli.nodes.noise import find_noise
 from attest_cli.prepare import prepare
@@ -101,8 +102,19 @@ def drive_of(log: Log, settings: Settings) -> Drive:
     return Drive(log, segmentation, find_world(log, settings), find_noise(log, segmentation, settings), settings)
 
 
-def predicted(done: Navigated, drive: Drive, role: str, hidden: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return squared horizontal errors, forward and smoothed, of the hidden fixes, and their normalised squares."""
+@dataclass(frozen=True)
+class Predicted:
+    """Hidden fixes: times, squared horizontal errors forward and smoothed, normalised squares, mean variance, m^2."""
+
+    t: Array
+    forward: Array
+    smoothed: Array
+    n2: Array
+    variance: Array
+
+
+def predicted(done: Navigated, drive: Drive, role: str, hidden: NDArray[np.bool_]) -> Predicted:
+    """Predict the hidden fixes by the measurement model of the smoother itself."""
     late = shifted(drive, done.learnt.lags)
     every = place_of(late, done.nodes, role, np.zeros(3))
     near = np.abs(done.nodes.t[every.node] - every.t) < 1e-3  # not those that the lag moved beyond an end
@@ -117,7 +129,8 @@ def predicted(done: Navigated, drive: Drive, role: str, hidden: NDArray[np.bool_
     H = rows.H[:, :2]
     S = H @ found.errors.P[rows.node] @ H.swapaxes(1, 2) + np.apply_along_axis(np.diag, 1, rows.sigma[:, :2] ** 2)
     n2 = np.einsum("ki,ki->k", rows.r[:, :2], np.linalg.solve(S, rows.r[:, :2, None])[:, :, 0])
-    return np.sum(ahead.r[:, :2] ** 2, axis=1), np.sum(rows.r[:, :2] ** 2, axis=1), n2
+    squares = (np.sum(part.r[:, :2] ** 2, axis=1) for part in (ahead, rows))
+    return Predicted(test.t, *squares, n2, 0.5 * np.trace(S, axis1=1, axis2=2))
 
 
 def without(drive: Drive, role: str) -> tuple[Navigated, float, float]:
@@ -142,6 +155,39 @@ def learnt(done: Navigated) -> str:
     return ", ".join([*told, *(f"{name} {arm}" for name, arm in arms.items())])
 
 
+def hiding(drive: Drive, role: str, what: str, begin: float) -> tuple[Navigated, Predicted]:
+    """Solve a drive with fixes hidden, and predict them."""
+    fixes = drive.log.fixes[role]
+    hidden = withheld(fixes.t, what, begin)
+    shown = {**drive.log.fixes, role: replace(fixes, values=np.where(hidden[:, None], np.nan, fixes.values))}
+    done = navigate(replace(drive, log=replace(drive.log, fixes=shown)))
+    return done, predicted(done, drive, role, hidden)
+
+
+def picture(path: Path) -> None:
+    """Draw errors in outages of 30 s of the car and the rover."""
+    panels = []
+    for name, title in (
+        ("KITTI", "Car, GPS hidden for 30 s at a time"),
+        ("Husky", "Rover with wheel odometry, the same"),
+    ):
+        load, role = LOGS[name]
+        settings = Settings.model_validate({"smoothing": {"filter": "navigation"}})
+        _, found = hiding(drive_of(load(settings), settings), role, "30", BEGIN_S[1])
+        breaks = np.flatnonzero(np.diff(found.t) > BETWEEN_S / 2) + 1  # no line from outage to outage
+        t, *errors = (
+            np.insert(values, breaks, np.nan)
+            for values in (found.t, np.sqrt(found.forward), np.sqrt(found.smoothed), np.sqrt(REGION * found.variance))
+        )
+        panel = Panel("error, m", title, log=True)
+        for values, words, colour in zip(
+            errors, ("forward", "smoothed", "95 % radius"), (INK["forward"], INK["ink"], INK["backward"]), strict=True
+        ):
+            panel.line(t, values, words, colour, 1.2)
+        panels.append(panel)
+    drawn(path, panels, "time, s", "Positions predicted where the fixes were hidden")
+
+
 def line(drive: Drive, name: str, role: str, what: str) -> str:
     """Return a line of the table."""
     start, fixes = time.process_time(), drive.log.fixes[role]
@@ -151,11 +197,11 @@ def line(drive: Drive, name: str, role: str, what: str) -> str:
     else:
         parts = []
         for begin in BEGIN_S if what != "half" else BEGIN_S[:1]:
-            hidden = withheld(fixes.t, what, begin)
-            shown = {**drive.log.fixes, role: replace(fixes, values=np.where(hidden[:, None], np.nan, fixes.values))}
-            done = navigate(replace(drive, log=replace(drive.log, fixes=shown)))
-            parts.append(predicted(done, drive, role, hidden))
-        forward, smoothed, n2 = (np.concatenate(p) for p in zip(*parts, strict=True))
+            done, found = hiding(drive, role, what, begin)
+            parts.append(found)
+        forward, smoothed, n2 = (
+            np.concatenate([getattr(p, key) for p in parts]) for key in ("forward", "smoothed", "n2")
+        )
         text = (
             f"{name:<18}{what:>9}{len(n2):>7}{np.sqrt(forward.mean()):>9.3f}{np.sqrt(smoothed.mean()):>9.4f}"
             f"{np.mean(n2 < REGION):>8.2f}  {learnt(done)}"
@@ -168,9 +214,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=LOGS)
     parser.add_argument("--cases", default="half,10,30,none")
+    parser.add_argument("--picture", type=Path, help="draw instead")
     wanted = parser.parse_args()
     if not DATA.is_dir():
         sys.exit(f"the logs are not here: {DATA}")
+    if wanted.picture:
+        picture(wanted.picture)
+        return
     print(f"{'log':<18}{'withheld':>9}{'fixes':>7}{'forward':>9}{'smoothed':>9}{'inside':>8}  learnt")
     for name, (load, role) in LOGS.items():
         if wanted.only in {None, name}:

@@ -5,23 +5,47 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from ...nodes import Nodes
 from ...records import FilterRun, Warn
+from ...settings import Settings
 from .. import Drive, Forward
 from . import solve
-from .aids import Place
 from .problem import Problem
 from .rounds import Navigated, navigate
 from .shown import shown
+
+CONTRADICTED = 4.0  # mean square of innovations over what is expected
 
 
 def forward(drive: Drive) -> Forward:
     """Solve the drive and return its last forward pass, from which every smoother goes back."""
     done = navigate(drive)
+    wanders = _wanders(done)
+    if wanders:
+        done = navigate(replace(drive, settings=_as_rover(drive.settings)))
     late = (_late(role, lag) for role, lag in sorted(done.learnt.lags.items()))
-    told = (*done.begun.warnings, *done.problem.warnings, *late)
+    told = (*wanders, *done.begun.warnings, *done.problem.warnings, *late)
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done))
+
+
+def _wanders(done: Navigated) -> tuple[Warn, ...]:
+    """Say whether a log that was taken for hand-held goes further than a room: then its stops contradict the bound."""
+    roles = {a.role for a in done.problem.aids}
+    if not {"place", "zero_velocity"} <= roles:
+        return ()
+    found = solve.innovations(done.found.found, done.found.rows)
+    stops, place = (found.nis[found.role == role] / 3.0 for role in ("zero_velocity", "place"))
+    if not len(stops) or max(float(np.mean(stops)), float(np.mean(place))) < CONTRADICTED:
+        return ()
+    return (Warn("not-in-one-place", "the log goes further than a hand would: its place is left free",
+                 "[navigation] motion says what it is; --filter indirect is often as good"),)  # fmt: skip
+
+
+def _as_rover(settings: Settings) -> Settings:
+    return settings.model_copy(update={"navigation": settings.navigation.model_copy(update={"motion": "rover"})})
 
 
 def _late(role: str, lag: float) -> Warn:
@@ -36,10 +60,9 @@ def _run(done: Navigated) -> FilterRun:
     at = found.at.moved(found.found.x)
     mean_known = "earth field" in done.problem.layout and bool(nodes.moving.any())
     relative = solve.relative_heading(found, nodes.t, nodes.moving) if mean_known else None
-    placed = any(isinstance(a, Place) for a in done.problem.aids)
     return FilterRun(
         nodes.t, at.q, at.x[:, bias], found.found.chain, None, solve.innovations(found.found, found.rows), nodes.moving,
-        "absolute" if placed and begun.heading == "relative" else begun.heading, begun.start_in_motion,
+        done.problem.heading, begun.start_in_motion,
         partial(solve.read, found, nodes.t, bias, relative),
     )  # fmt: skip
 

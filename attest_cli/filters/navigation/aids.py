@@ -208,6 +208,66 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
+class Velocity:
+    r"""Velocities (k, 3) of an antenna, navigation axes: :math:`z=v+R(\omega\times l)-a\,\tau+v`, NaN = not measured.
+
+    Lever arm and how late it is are those of the fixes from the same receiver, where there are any; the acceleration
+    is the mean between the nodes ``around`` (k, 2), ``span`` (k,) s apart: vibration is shorter than any lag.
+    """
+
+    node: Ints
+    t: Array
+    velocity_n: Array
+    sigma: Array  # (k, 3)
+    rate_b: Array  # (k, 3) rad/s
+    lever_b: Array
+    around: Ints
+    span: Array
+    clock: str  # whose lag counts
+    role: str = "gps_velocity"
+    robust: bool = True
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return measured minus predicted velocity."""
+        R, x = rotation.matrix(at.q[self.node]), at.x[self.node]
+        H = blank(layout, len(self.node), 3)
+        arm = np.tile(self.lever_b, (len(R), 1))
+        if "gps lever arm" in layout:
+            part = layout.parts["gps lever arm"]
+            arm = arm + x[:, part]
+            H[:, :, part] = R @ rotation.skew(self.rate_b)
+        swing = np.cross(self.rate_b, arm)
+        predicted = at.v[self.node] + np.einsum("kij,kj->ki", R, swing)
+        H[:, :, :3], H[:, :, 3:6] = -R @ rotation.skew(swing), np.eye(3)
+        if f"{self.clock} lag" in layout:
+            part = layout.parts[f"{self.clock} lag"]
+            a = (at.v[self.around[:, 1]] - at.v[self.around[:, 0]]) / self.span[:, None]
+            predicted -= a * x[:, part]
+            H[:, :, part] = -a[:, :, None]
+        return _known(Rows(self.node, self.t, self.velocity_n - predicted, H, self.sigma))
+
+
+@dataclass(frozen=True, slots=True)
+class Height:
+    r"""Heights (k, 1) of a barometer or an altimeter: :math:`z=p_z+h_0+c+v`, datum :math:`h_0`, slow error ``c``."""
+
+    node: Ints
+    t: Array
+    height: Array
+    sigma: Array  # (k, 1)
+    role: str = "height"
+    robust: bool = True
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return measured minus predicted height."""
+        states = [layout.parts[name].stop - 1 for name in ("position", "height datum", "height drift")]
+        H = blank(layout, len(self.node), 1)
+        H[:, 0, states] = 1.0
+        r = self.height - at.x[self.node][:, states].sum(axis=1, keepdims=True)
+        return Rows(self.node, self.t, r, H, self.sigma)
+
+
+@dataclass(frozen=True, slots=True)
 class Wheels:
     r"""Velocity in vehicle axes (k, 3) from wheels; sideways and up it is the non-holonomic constraint.
 

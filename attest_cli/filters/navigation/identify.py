@@ -117,14 +117,20 @@ def widened(
     for _ in range(MOST_DOUBLINGS):
         if square <= TOO_FAR:
             break
-        roles = {aid.role for aid in aids}  # white noise is known well enough from fix to fix
-        trials = [{**out, name: factor * WIDER} for name, factor in out.items() if name not in roles]
+        trials = [{**out, name: out[name] * WIDER} for name in _slow(out, aids)]
         judged = [window.withheld(trial) for trial in trials]
         k = int(np.argmax([likely for _, likely in judged]))
         if judged[k][1] < best + WORTH:
             break
         out, (square, best) = trials[k], judged[k]
     return out
+
+
+def _slow(factors: Mapping[str, float], aids: Sequence[Aid]) -> list[str]:
+    """Return what may be at fault in an outage: coloured errors, and the IMU where no wheels bridge it."""
+    wheels = any(isinstance(aid, Wheels) for aid in aids)
+    imu = [] if wheels else ["gyro", "accelerometer"]
+    return [name for name in factors if name in imu or name.endswith((" drift", " slip"))]
 
 
 def scaled_prior(P0: Array, form: Layout, factors: Mapping[str, float]) -> Array:

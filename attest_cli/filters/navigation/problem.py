@@ -11,14 +11,17 @@ from ...maths import rotation
 from ...maths.propagation import run_steps
 from ...mounting import find_mounting, upright
 from ...nodes import Nodes
+from ...nodes.noise import clipped_density
 from ...nodes.observations import at_stop
 from ...records import Array, Warn
 from .. import Drive
 from ..choice import LIVELY_RAD_S, liveliness
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
+from .fixes import FAST_M_S, far_off, origin_of, place_of
 from .model import Inertial, Trajectory, inertial_of
-from .start import heading_offset
+from .start import heading_of_velocity, heading_offset
 from .states import Layout, State, layout
+from .streams import clock_of, height_of, velocity_of
 
 TILT_SIGMA, HEADING_SIGMA, DATUM = 0.3, 1.0, 1e-4  # rad, at the first node
 STILL_M_S = 0.01  # a stop may rock this much
@@ -33,11 +36,12 @@ MAD = 1.4826
 SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
 STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
 LONGEST_HOLE_S = 1.0  # odometry is bridged over this
-PLACE_DRIFT, PLACE_DRIFT_S = 0.3, 60.0  # coloured error of fixes: share of their sigma, correlation time
-GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # where nothing is stated
+PLACE_DRIFT, PLACE_DRIFT_S = 0.2, 60.0  # coloured error of fixes: share of their sigma, correlation time
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
 LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
-HALF_NODE_S = 0.05
+NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
+NORTH_RAD, WENT = 0.5, 5.0  # sigma of a heading that is shown; share of their sigma by which places have to spread
+MOVING = {"odometry", "gps", "gps_velocity", "position"}  # sensors of how it moves: it may be fast
 MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
     "handheld": (2.0, 1.0),
     "static": (0.1, 0.01),
@@ -46,7 +50,7 @@ MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
     "drone": (np.inf, 15.0),
 }
 LIVELY_WALK = 2e-4  # rad/s^2/sqrt(Hz) at 1 rad/s: a MEMS gyro's bias under lively motion, where no walk is stated
-MOST_NODES = 40_000  # about 2 GB
+MOST_NODES = 12_000  # about 3 GB at 30 states
 LIVELY_SPACING_S = 0.05  # between nodes of such a log; 0.1 s costs 3 % of accuracy there
 
 Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]
@@ -54,7 +58,7 @@ Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What the solver needs."""
+    """What the solver needs; what ``heading`` counts from, and the ``origin`` of places: rad, rad, m (WGS 84)."""
 
     layout: Layout
     prior: tuple[Trajectory, Array]
@@ -63,6 +67,8 @@ class Problem:
     at: Trajectory
     tune: Tune
     warnings: tuple[Warn, ...]
+    heading: str
+    origin: tuple[float, float, float] | None
 
 
 def assemble(
@@ -75,9 +81,16 @@ def assemble(
     """
     roles = [role for role in ("gps", "position") if role in drive.log.fixes]
     places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
-    if heading == "relative" and places:
-        turn, _ = heading_offset(drive.log.imu, nodes.t, q, np.zeros(3), places[0])
-        q = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q)
+    doubts = [warn for role in roles for warn in far_off(drive, role)]
+    if heading == "relative" and (places or "gps_velocity" in drive.log.fixes):
+        turn, shows = _headed(drive, nodes, q, bias, places)
+        if shows:
+            heading = "absolute"
+            q = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q)
+        else:
+            doubts.append(
+                Warn("north-not-shown", "the fixes do not show where north is: heading counts from the start")
+            )
     aids, states = _inertial_aids(drive, nodes), _core_states(drive)
     at_rest = bool((~nodes.moving).any())
     field = None
@@ -94,6 +107,8 @@ def assemble(
         drift = PLACE_DRIFT * float(np.nanmedian(place.sigma))
         states += [State(f"{place.role} drift", 3, drift, PLACE_DRIFT_S), State(f"{place.role} lag", 1, LAG_SIGMA_S)]
         aids.append(place)
+    more, further = _streams(drive, nodes, bias, arms)
+    aids, states = aids + more, states + further
     wheels, told = _wheels(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
     if wheels is not None:
         cfg = drive.settings.odometry
@@ -111,9 +126,28 @@ def assemble(
     if field is not None:
         _start_field(field, form, at)
         aids.append(_tuned_field(field, form, at, nodes.t))
-    prior = _prior(form, at, heading, placed=bool(places))
+    late = max(0.0, places[0].t[0] - nodes.t[0]) if places else 0.0
+    prior = _prior(form, at, heading, NEAR_M + FAST_M_S * late if places else None)
     inertial = _inertial(drive, nodes, scaled="gyro scale" in form)
-    return Problem(form, prior, inertial, tuple(aids), at, _tuner(nodes.t), tuple(told))
+    return Problem(
+        form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive)
+    )  # fmt: skip
+
+
+def _headed(drive: Drive, nodes: Nodes, q: Array, bias: Array, places: Sequence[Place]) -> tuple[float, bool]:
+    """Return the turn about the vertical, rad, to where the receiver went, and whether it went anywhere."""
+    if not places:
+        turn, sigma = heading_of_velocity(drive.log.imu, nodes.t, q, velocity_of(drive, nodes, bias, np.zeros(3)))
+        return turn, sigma < NORTH_RAD
+    turn, sigma = heading_offset(drive.log.imu, nodes.t, q, np.zeros(3), places[0])
+    if not nodes.moving.any():
+        return turn, False
+    level = places[0].place_n[:, :2]
+    went = float(np.sqrt(np.mean(np.sum((level - np.median(level, axis=0)) ** 2, axis=1))))
+    noise = float(np.nanmedian(places[0].sigma[:, :2]))
+    if len(level) > 2:  # what is stated may be too small
+        noise = max(noise, float(np.median(np.abs(np.diff(level, 2, axis=0)))) * MAD / np.sqrt(6.0))
+    return turn, sigma < NORTH_RAD or went > WENT * noise
 
 
 def motion_of(drive: Drive) -> str:
@@ -121,7 +155,7 @@ def motion_of(drive: Drive) -> str:
     stated = drive.settings.navigation.motion
     if stated != "auto":
         return stated
-    if {"odometry", "gps", "position"} & drive.log.fixes.keys():
+    if MOVING & drive.log.fixes.keys():
         return "vehicle"
     return "handheld" if liveliness(drive.log, drive.segmentation) > LIVELY_RAD_S else "rover"
 
@@ -138,9 +172,9 @@ def node_spacing(drive: Drive) -> float:
 
 def _core_states(drive: Drive) -> list[State]:
     cfg = drive.settings
-    fast = bool({"gps", "position", "odometry"} & drive.log.fixes.keys())
+    fast = bool(MOVING & drive.log.fixes.keys())
     states = [
-        State("attitude", 3, TILT_SIGMA), State("velocity", 3, 30.0 if fast else 1.0), State("position", 3, 1e-3),
+        State("attitude", 3, TILT_SIGMA), State("velocity", 3, FAST_M_S if fast else 1.0), State("position", 3, 1e-3),
         State("gyro bias", 3, cfg.imu.gyro_bias_sigma), State("accelerometer bias", 3, cfg.imu.accel_bias_sigma),
     ]  # fmt: skip
     if drive.noise.gyro_scale > 0.0:
@@ -169,6 +203,9 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     lively = np.abs(force - drive.world.gravity)
     unmodelled = 0.0 if stated else ACCEL_FLOOR**2 + (ACCEL_SHARE * lively) ** 2
     accel = noise.accel_density**2 + np.where(moving, unmodelled, 0.0)
+    imu = drive.log.imu
+    gyro = gyro + clipped_density(imu.t, imu.gyro_clipped, nodes.t)
+    accel = accel + clipped_density(imu.t, imu.accel_clipped, nodes.t)
     return replace(found, gyro=gyro, accel=accel)
 
 
@@ -192,8 +229,25 @@ def _inertial_aids(drive: Drive, nodes: Nodes) -> list[Aid]:
         inflated = np.sqrt(np.maximum(1.0, 2.0 * BOUND_S / every))
         if np.isfinite(place):
             aids.append(Bound("place", "position", moving, t[moving], place * inflated, robust=True))
-        aids.append(Bound("speed", "velocity", moving, t[moving], speed * inflated, robust=True))
+        seen = {"gps", "gps_velocity", "position"} & drive.log.fixes.keys()
+        if not seen or drive.settings.navigation.motion != "auto":
+            aids.append(Bound("speed", "velocity", moving, t[moving], speed * inflated, robust=True))
     return aids
+
+
+def _streams(drive: Drive, nodes: Nodes, bias: Array, arms: Mapping[str, Array]) -> tuple[list[Aid], list[State]]:
+    """Return GPS velocity and height with the states they call for."""
+    aids: list[Aid] = []
+    states: list[State] = []
+    if "gps_velocity" in drive.log.fixes:
+        aids.append(velocity_of(drive, nodes, bias, arms.get("gps", np.zeros(3))))
+        if clock_of("gps_velocity", drive.log.fixes) == "gps_velocity":
+            states.append(State("gps_velocity lag", 1, LAG_SIGMA_S))
+    if "height" in drive.log.fixes:
+        height, of_height = height_of(drive, nodes)
+        aids.append(height)
+        states += of_height
+    return aids, states
 
 
 def _seen(nodes: Nodes) -> list[Aid]:
@@ -263,14 +317,16 @@ def _tuner(t: Array) -> Tune:
     return tune
 
 
-def _prior(form: Layout, at: Trajectory, heading: str, *, placed: bool) -> tuple[Trajectory, Array]:
-    """Return the first state and its covariance: heading is a datum where nothing measures it."""
+def _prior(form: Layout, at: Trajectory, heading: str, place_m: float | None) -> tuple[Trajectory, Array]:
+    """Return the first state and its covariance: heading is a datum where nothing measures it; ``place_m`` sigma of the
+    place where fixes give it.
+    """
     P = np.diag(form.prior())
     R = rotation.matrix(at.q[0])
-    yaw = DATUM if heading == "relative" and not placed else HEADING_SIGMA
+    yaw = DATUM if heading == "relative" else HEADING_SIGMA
     P[:3, :3] = (R.T * np.array([TILT_SIGMA, TILT_SIGMA, yaw]) ** 2) @ R
-    if placed:
-        P[6:9, 6:9] = 100.0**2 * np.eye(3)
+    if place_m is not None:
+        P[6:9, 6:9] = place_m**2 * np.eye(3)
     return Trajectory(at.q[:1], at.x[:1]), P
 
 
@@ -297,12 +353,14 @@ def _wheels(
         R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma
     t = odometry.t - (seat.lag if seat is not None else 0.0)
     at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
-    near = np.abs(nodes.t[at] - t[np.clip(np.searchsorted(t, nodes.t[at]), 0, len(t) - 1)]) < LONGEST_HOLE_S
-    at = at[near]
+    after = np.clip(np.searchsorted(t, nodes.t[at]), 1, len(t) - 1)
+    at = at[t[after] - t[after - 1] < LONGEST_HOLE_S]
     values = np.nan_to_num(odometry.values)
     velocity = np.stack([np.interp(nodes.t[at], t, values[:, k]) for k in range(3)], axis=1)
     own = cfg.odometry
-    per = np.sqrt(max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t))), 1e-3)))
+    per = np.sqrt(
+        max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t)[nodes.moving[1:]])), 1e-3))
+    )
     sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
     rate = np.stack([np.interp(nodes.t[at], drive.log.imu.t, drive.log.imu.gyro_b[:, k]) for k in range(3)], axis=1)
     return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma, rate - bias[at], arm), []
@@ -315,32 +373,4 @@ def _attitude(nodes: Nodes, q: Array, bias: Array) -> tuple[Array, Array]:
     return grid, np.concatenate([q[:1], run_steps(nodes.steps, q[:-1], middle)])
 
 
-def place_of(drive: Drive, nodes: Nodes, role: str, arm: Array) -> Place:
-    """Return the fixes at their nodes, metres east, north and up of the first one."""
-    fixes = drive.log.fixes[role]
-    known = np.isfinite(fixes.values[:, :2]).all(axis=1)
-    known &= (fixes.t >= nodes.t[0] - HALF_NODE_S) & (fixes.t <= nodes.t[-1] + HALF_NODE_S)
-    t, values = fixes.t[known], fixes.values[known]
-    place = values if role == "position" else _local(values)
-    stated = None if fixes.sigma is None else fixes.sigma[known]
-    told = getattr(drive.settings, role).sigma_m
-    default = told or (POSITION_SIGMA_M if role == "position" else GPS_SIGMA_M)
-    sigma = np.full(place.shape, default) if stated is None or told else np.maximum(stated, 1e-3)
-    node = np.clip(np.searchsorted(nodes.t, t), 1, len(nodes.t) - 1)
-    node = np.where(t - nodes.t[node - 1] < nodes.t[node] - t, node - 1, node)
-    return Place(node, t, place - place[0], sigma, arm, role)
-
-
-def _local(fixes: Array) -> Array:
-    """Return (k, 3) east, north, up in metres of the first fix; fixes in rad, rad, m above the ellipsoid (WGS 84)."""
-    from pymap3d import geodetic2enu
-
-    height = np.where(np.isfinite(fixes[:, 2]), fixes[:, 2], 0.0)
-    first = (fixes[0, 0], fixes[0, 1], height[0])
-    enu = geodetic2enu(fixes[:, 0], fixes[:, 1], height, *first, deg=False)
-    out = np.stack([np.asarray(part, dtype=np.float64) for part in enu], axis=1)
-    out[~np.isfinite(fixes[:, 2]), 2] = np.nan
-    return out
-
-
-__all__ = ["Problem", "assemble", "motion_of", "node_spacing", "place_of"]
+__all__ = ["Problem", "assemble", "motion_of", "node_spacing"]

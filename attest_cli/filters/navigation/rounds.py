@@ -14,10 +14,12 @@ from ...settings import Settings
 from .. import Drive, Forward, indirect
 from . import solve
 from .aids import Place, Wheels
+from .fixes import epochs_of
 from .identify import identify, scaled_inertial, scaled_prior, widened
 from .model import Inertial, Trajectory
 from .problem import Problem, assemble, node_spacing
 from .states import Layout
+from .streams import clock_of, own_nodes
 
 FIRST_PASSES, AUTO_PASSES = 5, 9
 ROUNDS = 4  # of finding how late the fixes are, and where their antenna is
@@ -87,12 +89,14 @@ def _spaced(drive: Drive) -> Settings:
 
 def _epochs(drive: Drive) -> Array:
     """Return the times of the fixes: they are nodes."""
-    return np.concatenate([np.zeros(0), *(f.t for role, f in drive.log.fixes.items() if role in {"gps", "position"})])
+    slow = [f.t for role, f in drive.log.fixes.items() if role in {"gps_velocity", "height"} and own_nodes(f)]
+    return np.concatenate([epochs_of(drive), *slow])
 
 
 def shifted(drive: Drive, lags: Mapping[str, float]) -> Drive:
     """Return the drive with its fixes on the clock of the IMU."""
-    fixes = {role: replace(f, t=f.t - lags.get(role, 0.0)) for role, f in drive.log.fixes.items()}
+    had = drive.log.fixes
+    fixes = {role: replace(f, t=f.t - lags.get(clock_of(role, had), 0.0)) for role, f in had.items()}
     return replace(drive, log=replace(drive.log, fixes=fixes))
 
 
@@ -122,11 +126,10 @@ def _with_noise(
         return problem, factors
     inertial, free = problem.inertial, [a.role for a in aiding if not _stated(drive, a.role)]
     free += [c.name for c in problem.layout.coloured()]  # nobody states these
+    if drive.settings.imu.accel_noise_density is None:
+        free, inertial = ["accelerometer", *free], replace(inertial, accel=np.maximum(inertial.accel, SAFE_ACCEL**2))
     if drive.settings.imu.gyro_noise_density is None:
-        free = ["gyro", "accelerometer", *free]
-        inertial = replace(
-            inertial, gyro=np.maximum(inertial.gyro, SAFE_GYRO**2), accel=np.maximum(inertial.accel, SAFE_ACCEL**2)
-        )
+        free, inertial = ["gyro", *free], replace(inertial, gyro=np.maximum(inertial.gyro, SAFE_GYRO**2))
     at = problem.at
     if begin:
         aids = tuple(replace(a, robust=False) if isinstance(a, Place | Wheels) else a for a in problem.aids)

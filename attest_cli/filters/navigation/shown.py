@@ -13,6 +13,7 @@ UNITS = {
     "gyro bias": ("deg/s", DEG), "accelerometer bias": ("m/s^2", 1.0), "gyro scale": ("%", 100.0),
     "accelerometer scale": ("%", 100.0), "hard iron": ("uT", 1e6), "earth field": ("uT", 1e6),
     "odometry scale": ("%", 100.0), "odometry mounting": ("deg", DEG), "lever arm": ("m", 1.0), "lag": ("s", 1.0),
+    "datum": ("m", 1.0),
 }  # fmt: skip
 
 
@@ -28,6 +29,9 @@ def shown(done: Navigated) -> tuple[Shown, ...]:
             values = x[part] * factor + (done.learnt.lags.get(state.name.removesuffix(" lag"), 0.0))
             sigma = np.sqrt(np.median(np.einsum("kii->ki", P[:, part, part]), axis=0)) * factor
             out.append(Shown(state.name, tuple(values.tolist()), tuple(sigma.tolist()), unit))
+    if done.problem.origin is not None:
+        latitude, longitude, height = done.problem.origin
+        out.append(Shown("origin of the position", (latitude * DEG, longitude * DEG, height), (), "deg, deg, m"))
     return (*out, *_noise(done))
 
 

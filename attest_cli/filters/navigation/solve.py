@@ -13,6 +13,7 @@ from .aids import Aid, Rows, student
 from .model import Inertial, Linear, Trajectory, linearise
 from .states import Layout
 
+SPARED = 0.05  # weight below which a measurement counts as refused
 DATUM = 1e-4  # rad: how well a mean heading is taken as known
 SETTLED, STILL_MOVES = 0.1, 0.3  # of a sigma, any state: when to stop; what the last pass may move
 
@@ -192,7 +193,7 @@ def read(
 
 def innovations(found: sequential.Pass, rows: Stack) -> Innovations:
     """Return one row per measurement of every aid."""
-    role, t, node, dof, nis, z = [], [], [], [], [], []
+    role, t, node, dof, nis, z, used = [], [], [], [], [], [], []
     for aid, part, first, weight in rows.places:
         k, d = part.node, part.r.shape[1]
         at = first[:, None] + np.arange(d)
@@ -205,11 +206,10 @@ def innovations(found: sequential.Pass, rows: Stack) -> Innovations:
         values = np.full((len(k), 3), np.nan)
         values[:, :d] = nu / np.sqrt(np.einsum("kii->ki", S))
         z.append(values)
-        del weight
-    used = np.ones(sum(len(k) for k in node), dtype=np.bool_)
+        used.append(weight > SPARED)
     return Innovations(
-        np.concatenate(role), np.concatenate(t), np.concatenate(node), np.concatenate(dof), np.concatenate(nis), used,
-        np.concatenate(z),
+        np.concatenate(role), np.concatenate(t), np.concatenate(node), np.concatenate(dof), np.concatenate(nis),
+        np.concatenate(used), np.concatenate(z),
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...maths import rotation
 from ...records import Array, Imu
-from .aids import Place
+from .aids import Place, Velocity
 
 APART_S = 1.0  # fixes at least this far apart are compared
 LEAST_TRIPLES = 5
@@ -27,24 +27,50 @@ def heading_offset(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) ->
     t, q : (n,), (n, 4) nodes and their attitude, heading unknown
     bias_a : (3,) accelerometer bias, m/s^2
     """
+    a, v = _felt(imu, t, q, bias_a)
+    dt = np.diff(imu.t)[:, None]
+    p = np.concatenate([np.zeros((1, 2)), np.cumsum(v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:]), axis=0)])
+    rows = _apart(place.t)
+    if len(rows) < LEAST_TRIPLES + 2:
+        return 0.0, np.pi
+    when = place.t[rows]
+    seen = _second(when, place.place_n[rows, :2])
+    return _turn(seen, _second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1)))
+
+
+def heading_of_velocity(imu: Imu, t: Array, q: Array, velocity: Velocity) -> tuple[float, float]:
+    r"""Return the turn of :func:`heading_offset` from velocities: :math:`v_1-v_0=R_z(\psi)\int(Rf-g)`."""
+    _, v = _felt(imu, t, q, np.zeros(3))
+    known = np.flatnonzero(np.isfinite(velocity.velocity_n[:, :2]).all(axis=1))
+    rows = known[_apart(velocity.t[known])] if len(known) else known
+    if len(rows) < LEAST_TRIPLES + 2:
+        return 0.0, np.pi
+    felt = np.stack([np.interp(velocity.t[rows], imu.t, v[:, i]) for i in range(2)], axis=1)
+    return _turn(np.diff(velocity.velocity_n[rows, :2], axis=0), np.diff(felt, axis=0))
+
+
+def _felt(imu: Imu, t: Array, q: Array, bias_a: Array) -> tuple[Array, Array]:
+    """Return the level acceleration and velocity (n, 2) that the IMU feels, in the axes of the attitude."""
     at = np.interp(imu.t, t, np.arange(len(t)))
     left = np.minimum(at.astype(np.int64), len(t) - 2)
     turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(q[left]), q[left + 1]))
     attitude = rotation.multiply(q[left], rotation.exp_quaternion((at - left)[:, None] * turn))
     a = rotation.rotate(attitude, imu.accel_b - bias_a)[:, :2]
-    dt = np.diff(imu.t)[:, None]
-    zero = np.zeros((1, 2))
-    v = np.concatenate([zero, np.cumsum(0.5 * (a[1:] + a[:-1]) * dt, axis=0)])
-    p = np.concatenate([zero, np.cumsum(v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:]), axis=0)])
+    steps = 0.5 * (a[1:] + a[:-1]) * np.diff(imu.t)[:, None]
+    return a, np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def _apart(t: Array) -> list[int]:
+    """Return rows at least ``APART_S`` apart."""
     rows = [0]
-    for k in range(1, len(place.t)):
-        if place.t[k] - place.t[rows[-1]] >= APART_S:
+    for k in range(1, len(t)):
+        if t[k] - t[rows[-1]] >= APART_S:
             rows.append(k)
-    if len(rows) < LEAST_TRIPLES + 2:
-        return 0.0, np.pi
-    when = place.t[rows]
-    seen = _second(when, place.place_n[rows, :2])
-    felt = _second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1))
+    return rows
+
+
+def _turn(seen: Array, felt: Array) -> tuple[float, float]:
+    """Return the turn about the vertical from ``felt`` to ``seen`` (k, 2), and its sigma."""
     cross = float(np.sum(felt[:, 0] * seen[:, 1] - felt[:, 1] * seen[:, 0]))
     dot = float(np.sum(felt * seen))
     psi = float(np.arctan2(cross, dot))

@@ -167,6 +167,35 @@ def test_car_noise_clock_and_heading_are_found_from_the_log_alone() -> None:
     assert np.mean(np.abs(apart) < 3.0 * sigma[:, :2]) > 0.9
 
 
+def test_a_fix_from_elsewhere_is_left_out_and_told() -> None:
+    """Null island, first of all: it is neither origin nor aid."""
+    work, truth, _ = car(4)
+    fixes = work.log.fixes["position"]
+    values = fixes.values.copy()
+    values[0] += [5e6, -3e6, 0.0]
+    far = replace(work.log, fixes={"position": replace(fixes, values=values)})
+    found = navigation.forward(replace(work, log=far))
+    assert any("1 fixes of position" in w.message for w in found.warnings)
+    assert found.run.read is not None
+    smoothed = found.run.read(kalman.rts(found.run.chain))
+    assert smoothed.p is not None
+    assert np.ptp(smoothed.p[:, :2], axis=0).max() < 2.0 * np.ptp(truth[:, :2], axis=0).max()
+
+
+def test_fixes_of_a_log_that_stands_show_no_north() -> None:
+    rng = np.random.default_rng(6)
+    t = np.arange(0.0, 60.0, 0.01)
+    gyro, force = rng.normal(0, 2e-3, (len(t), 3)), rng.normal([0, 0, 9.80665], 0.02, (len(t), 3))
+    fixes = {"position": Fixes("position", "fixes", np.arange(0.5, 59.0), rng.normal(0, 0.5, (59, 3)))}
+    log = Log((), 0, (t * 1e9).astype(np.int64), Imu(t, gyro, force), fixes, np.zeros((0, 2)), {})
+    settings = Settings()
+    segmentation = find_segments(log, settings)
+    noise = find_noise(log, segmentation, settings)
+    found = navigation.forward(Drive(log, segmentation, find_world(log, settings), noise, settings))
+    assert found.run.heading == "relative"
+    assert "north-not-shown" in {w.code for w in found.warnings}
+
+
 def test_an_arm_that_the_drive_does_not_show_is_no_state() -> None:
     work, _, _ = car(3, sigma=0.5)
     assert "position lever arm" not in {item.name for item in navigation.forward(work).shown}

@@ -194,7 +194,7 @@ def test_what_is_no_log_is_refused_in_one_line_that_names_the_file(load: Load, t
 
 @pytest.mark.parametrize(
     ("head", "says"),
-    [(b"#ROSBAG V2.0\n", "ROS 1 bag"), (b"\xff\xfet\x00", "UTF-16"), (b"\x1f\x8b\x08", "gzip"), (b"PK\x03\x04", "zip")],
+    [(b"#ROSBAG V1.2\n", "an old"), (b"\xff\xfet\x00", "UTF-16"), (b"\x1f\x8b\x08", "gzip"), (b"PK\x03\x04", "zip")],
 )
 def test_other_files_are_called_by_their_name(load: Load, head: bytes, says: str) -> None:
     with pytest.raises(AttestError, match=says):

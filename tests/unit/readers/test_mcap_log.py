@@ -232,12 +232,12 @@ def test_a_log_without_usable_channels_names_what_was_found(tmp_path: Path, enco
     with path.open("wb") as stream:
         out = PlainWriter(stream)
         out.start()
-        kind = out.register_schema("sensor_msgs/Imu", schema, b"{}")
+        kind = out.register_schema("own_msgs/Imu", schema, b"{}")
         out.add_message(out.register_channel("/imu", encoding, kind), T0, b"{}", T0)
         out.finish()
     recording = read(path, Settings())
-    assert (recording.channels, recording.other) == ((), {"/imu": f"sensor_msgs/Imu ({encoding})"})
-    with pytest.raises(AttestError, match=rf"no channel that attest reads; found /imu sensor_msgs/Imu \({encoding}\)"):
+    assert (recording.channels, recording.other) == ((), {"/imu": f"own_msgs/Imu ({encoding})"})
+    with pytest.raises(AttestError, match=rf"no channel that attest reads; found /imu own_msgs/Imu \({encoding}\)"):
         prepare([recording], Settings())
 
 

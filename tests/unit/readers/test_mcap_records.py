@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as PlainWriter
 
 from attest_cli.errors import AttestError
-from attest_cli.readers import mcap_log, read
+from attest_cli.readers import read, wires
 from attest_cli.readers.mcap_records import Batch, DamagedError, Message, batches, walk
 from attest_cli.records import Recording
 from attest_cli.settings import Settings
@@ -119,7 +119,7 @@ def test_many_at_once_are_the_values_of_the_library(tmp_path: Path, monkeypatch:
     path = tmp_path / "log.mcap"
     write_recording(simulate_rover(options).log, path)
     fast = read(path, Settings())
-    monkeypatch.setattr(mcap_log, "fields_of", lambda *_: None)
+    monkeypatch.setattr(wires, "fields_of", lambda *_: None)
     same(fast, read(path, Settings()))
 
 
@@ -129,14 +129,14 @@ def test_a_definition_that_the_library_reads_otherwise_is_left_to_it(
     path = tmp_path / "log.mcap"
     write_recording(simulate_rover(RoverOptions(duration_s=60.0, rate_hz=20.0)).log, path)
     wanted = read(path, Settings())
-    real = mcap_log.fields_of
+    real = wires.fields_of
 
     def swapped(name: str, text: str) -> object:
         fields = list(real(name, text) or ())
         fields[-3], fields[-2] = fields[-2], fields[-3]
         return tuple(fields)
 
-    monkeypatch.setattr(mcap_log, "fields_of", swapped)
+    monkeypatch.setattr(wires, "fields_of", swapped)
     same(read(path, Settings()), wanted)
 
 
@@ -146,4 +146,12 @@ def test_an_undeclared_channel_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(raw + struct.pack("<BQI", Opcode.DATA_END, 4, 0))
     with pytest.raises(AttestError, match="channel 5, which is not declared"):
+        read(path, Settings())
+
+
+def test_a_chunk_that_declares_more_than_an_index_can_hold_is_refused(tmp_path: Path) -> None:
+    body = struct.pack("<QQQII", 1, 1, 10, 0, 0) + struct.pack("<Q", 2**63)  # times, size, crc, no compression, bytes
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", Opcode.CHUNK, len(body)) + body)
+    with pytest.raises(AttestError, match="an unreadable chunk"):
         read(path, Settings())

@@ -105,3 +105,66 @@ def test_the_reader_is_the_one_in_the_registry() -> None:
     from attest_cli.readers import READERS
 
     assert READERS["parquet"] == parquet_log.__name__
+
+
+def settings(**table: Any) -> Settings:
+    return Settings.model_validate({"table": table})
+
+
+def foreign(path: Path, **more: Any) -> Path:
+    """A table with names that say nothing; time in ms."""
+    names = dict(zip(("a", "b", "c", "d", "e", "f"), IMU.values(), strict=True))
+    pq.write_table(
+        pa.table({"when": np.arange(50) * 10.0, **{n: np.full(50, v) for n, v in names.items()}, **more}), path
+    )
+    return path
+
+
+def test_columns_are_named_in_order(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "log.parquet", junk=np.zeros(50))
+    named = ["t [ms]", "gyro_x [deg/s]", "gyro_y", "gyro_z", *list(IMU)[3:], "-"]
+    recording = read(path, settings(columns=named))
+    channel = recording.channels[0]
+    assert (channel.role, channel.units["gyro_x"], recording.warnings) == ("imu", "deg/s", ())
+    assert channel.stamps_ns[1] == 10_000_000
+    assert {name: column[0] for name, column in channel.values.items()} == IMU
+    with pytest.raises(AttestError, match="7 columns are named, but the table has 8"):
+        read(path, settings(columns=named[:-1]))
+
+
+def test_columns_are_given_other_names(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "log.parquet")
+    names = {"when": "time", **dict(zip("abcdef", IMU, strict=True))}
+    recording = read(path, settings(names=names, time_unit="ms"))
+    assert recording.channels[0].stamps_ns[1] == 10_000_000
+    assert recording.channels[0].values["accel_z"][0] == 9.81
+    told = read(path, settings(names={**names, "wen": "t"}, time_unit="ms")).warnings
+    assert [warning.code for warning in told] == ["no-such-column"]
+
+
+def test_a_rate_makes_time_of_a_counter_or_of_the_rows(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    columns = {name: np.full(50, value) for name, value in IMU.items()}
+    pq.write_table(pa.table(columns), path)
+    assert read(path, settings(sample_rate_hz=100.0)).channels[0].stamps_ns[:2].tolist() == [0, 10_000_000]
+    counter = np.delete(np.arange(230, 281), 7) % 256  # one byte, and a sample lost
+    pq.write_table(pa.table({"packet_counter": counter.astype(np.uint8), **columns}), path)
+    steps = np.diff(read(path, settings(sample_rate_hz=100.0)).channels[0].stamps_ns)
+    assert sorted(steps.tolist()) == [10_000_000] * 48 + [20_000_000]
+    with pytest.raises(AttestError, match="no time column"):
+        read(path, Settings())
+
+
+def test_whole_seconds_beside_nanoseconds_are_added(tmp_path: Path) -> None:
+    k = np.arange(50) * 10_000_000 + 990_000_000
+    more = {"stamp_sec": 1_780_308_000 + k // 10**9, "stamp_nsec": k % 10**9}
+    columns = {**more, **{name: np.full(50, value) for name, value in IMU.items()}}
+    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+    stamps_ns = read(tmp_path / "log.parquet", Settings()).channels[0].stamps_ns
+    assert stamps_ns[:2].tolist() == [1_780_308_000_990_000_000, 1_780_308_001_000_000_000]
+
+
+def test_settings_of_text_are_said_to_do_nothing(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "log.parquet")
+    names = {"when": "t [ms]", **dict(zip("abcdef", IMU, strict=True))}
+    assert [w.code for w in read(path, settings(names=names, decimal=",")).warnings] == ["no-text-log"]

@@ -1,0 +1,179 @@
+"""Topics of messages, whatever file they stand in: batches of messages -> channels with the stamps asked for."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from mcap.exceptions import McapError
+
+from ..errors import AttestError
+from ..records import Array, Bools, Channel, Ints, Recording, Warn
+from .mcap_records import Batch
+from .messages import MessageType
+from .ros2_layout import Bytes, Layout
+
+CLOCK_OFFSET_S = 0.05
+"""Header stamps of two topics that differ by more against the time of logging are on different clocks."""
+LATEST_S = 9_223_372_036
+"""Last second that int64 ns can hold."""
+
+UNDECODABLE = (
+    McapError, struct.error, ValueError, TypeError, AttributeError, KeyError, IndexError, OverflowError, MemoryError,
+    RecursionError, NotImplementedError,
+)  # fmt: skip
+NOT_OF_TYPE = "the channel declares a type that its messages are not of"
+
+
+def line(error: Exception) -> str:
+    """Return what a library says as a part of one line."""
+    return " ".join(str(error).split())[:120]
+
+
+One = Callable[[bytes], tuple[list[float], str]]
+"""Decodes one message: stamp (s, ns) and fields of its type, and its frame."""
+
+
+@dataclass(slots=True, eq=False)
+class Topic:
+    """What has been read of one topic so far: many messages at once where their layout is sure, else one by one.
+
+    ``lay`` finds the layout of a message, or is None where the wire has none; with ``verified`` a new layout is held
+    against what ``one`` makes of the same message.
+    """
+
+    name: str
+    kind: str
+    type: MessageType
+    one: One
+    lay: Callable[[Bytes], Layout | None] | None = None
+    layout: Layout | None = None
+    frame_id: str = ""
+    stamps: list[Ints] = field(default_factory=list)  # per batch: header, log, publish (3, m) ns
+    tables: list[Array] = field(default_factory=list)  # per batch: columns of type (c, m)
+    count: int = 0
+
+    def clocks(self) -> Ints:
+        """Return header stamp, time of logging and time of publishing, (3, n) ns."""
+        return np.concatenate(self.stamps, axis=1)
+
+    def columns(self) -> dict[str, Array]:
+        """Return the columns of the type (n,), each on its own."""
+        return {name: np.concatenate([t[i] for t in self.tables]) for i, name in enumerate(self.type.columns)}
+
+    def add(self, path: Path, batch: Batch, rows: Ints) -> None:
+        """Read the messages ``rows`` of a batch.
+
+        Raises
+        ------
+        AttestError
+            If a message is not of the type that its topic declares.
+        """
+        found = self._at_once(path, batch, rows)
+        if found is None:
+            found = np.array([self._decoded(path, batch, k) for k in rows.tolist()]).T
+        if not np.all(np.abs(found[:2]) <= LATEST_S):
+            raise AttestError(f"{path}: a stamp of {self.name} is no time", NOT_OF_TYPE)
+        header = found[0].astype(np.int64) * 1_000_000_000 + found[1].astype(np.int64)
+        self.stamps.append(np.stack([header, batch.log_ns[rows], batch.publish_ns[rows]]))
+        self.tables.append(self.type.table(found[2:]))
+        self.count += rows.size
+
+    def _at_once(self, path: Path, batch: Batch, rows: Ints) -> Array | None:
+        """Return stamp and fields (2 + k, m), or None where a message is laid out in another way."""
+        messages = batch.data, batch.start[rows], batch.size[rows]
+        found = None if self.layout is None else self.layout.table(*messages)
+        if found is not None or self.lay is None:
+            return found
+        self.layout = self.lay(np.frombuffer(batch.payload(int(rows[0])), dtype=np.uint8))
+        found = None if self.layout is None else self.layout.table(*messages)
+        if found is None:
+            return None
+        if not np.array_equal(found[:, 0], self._decoded(path, batch, int(rows[0])), equal_nan=True):
+            self.lay = self.layout = None  # the library reads this definition in another way
+            return None
+        return found
+
+    def _decoded(self, path: Path, batch: Batch, k: int) -> list[float]:
+        """Return stamp and fields of one message, decoded on its own."""
+        try:
+            row, frame_id = self.one(batch.payload(k))
+        except UNDECODABLE as error:
+            place = self.count + 1 + int(np.count_nonzero(batch.channel_id[:k] == batch.channel_id[k]))
+            reason = f"{path}: message {place} of {self.name} is no {self.kind}: {type(error).__name__} {line(error)}"
+            raise AttestError(reason, NOT_OF_TYPE) from None
+        self.frame_id = self.frame_id or frame_id
+        return row
+
+
+def recording(
+    path: Path,
+    format_name: str,
+    topics: Sequence[Topic],
+    other: Mapping[str, str],
+    source: str,
+    told: Sequence[Warn] = (),
+) -> Recording:
+    """Make channels of topics.
+
+    Parameters
+    ----------
+    other : topic -> type
+        What was not read.
+    source : str
+        Which stamp counts: header, log or publish.
+    told : sequence of Warn
+        What is known already.
+    """
+    read = [topic for topic in topics if topic.count]
+    other = {**other, **{topic.name: f"{topic.kind} (no message)" for topic in topics if not topic.count}}
+    warnings = list(told)
+    channels: list[Channel] = []
+    for topic in read:
+        stamps_ns = _stamps(path, topic, source, warnings)
+        units = dict(zip(topic.type.columns, topic.type.units, strict=True))
+        found = topic.type.channels(topic.name, topic.kind, stamps_ns, topic.columns(), units)
+        channels += [replace(channel, frame_id=topic.frame_id) for channel in found]
+    if source == "header":
+        _compare_clocks(path, read, warnings)
+    return Recording(path, format_name, tuple(channels), sum(t.count for t in read), other, tuple(warnings))
+
+
+def _stamps(path: Path, topic: Topic, source: str, warnings: list[Warn]) -> Ints:
+    """Choose the stamps of a topic; zero header stamps are replaced by the time of logging, with a warning."""
+    header, log, publish = topic.clocks()
+    chosen: Ints = {"header": header, "log": log, "publish": publish}[source]
+    zero = header == 0
+    if source != "header" or not np.any(zero):
+        return chosen
+    if 2 * np.count_nonzero(zero) >= zero.size:
+        message = f"{path.name}: {_zeros(zero, topic)}: time of logging taken"
+        warnings.append(Warn("zero-header-stamps", message, "let the driver fill header.stamp"))
+        return np.asarray(log, dtype=np.int64)
+    offset = np.int64(np.median((header - log)[~zero]))
+    lost = zero & (np.abs(log + offset) > np.int64(1_000_000_000))  # a simulated clock starts at zero
+    if np.any(lost):
+        message = f"{path.name}: {_zeros(lost, topic)}: filled from the time of logging"
+        warnings.append(Warn("zero-header-stamps", message, "let the driver fill header.stamp"))
+    return np.asarray(np.where(lost, log + offset, header), dtype=np.int64)
+
+
+def _zeros(zero: Bools, topic: Topic) -> str:
+    return f"{np.count_nonzero(zero)} of {zero.size} header stamps of {topic.name} are zero"
+
+
+def _compare_clocks(path: Path, topics: Sequence[Topic], warnings: list[Warn]) -> None:
+    """Warn where the header stamps of a topic run beside those of the first IMU, against the time of logging."""
+    offsets = {}
+    for topic in topics:
+        header, log, _ = topic.clocks()
+        if np.any(header):
+            offsets[topic.name] = float(np.median((header - log)[header != 0])) * 1e-9
+    base = next((topic.name for topic in topics if topic.kind.endswith("/Imu") and topic.name in offsets), None)
+    for name, offset in offsets.items():
+        if base is not None and abs(offset - offsets[base]) > CLOCK_OFFSET_S:
+            message = f"{path.name}: the stamps of {name} stand {offset - offsets[base]:+.3f} s against those of {base}"
+            warnings.append(Warn("clock-offset", message, "--time log puts all on the recorder's clock"))

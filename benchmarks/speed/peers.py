@@ -1,0 +1,227 @@
+"""attest and its peers on the same logs in the same run: a table with the ratio to each peer, a picture of both costs.
+
+    python benchmarks/speed/peers.py [--long] [--runs 3] [--logs DIR] [--output docs]
+
+Makes simulated drives of 1 min, 10 min and 1 h (``--long``: 6 h and 24 h too; making them takes longer than all else),
+runs each job in a process of its own and takes the least CPU time (user + system) of the runs. Peers that are not
+installed are left out (``pip install attest-cli[benchmarks]``). What a peer needs is the same for every sample, so a
+slow one gets a short log. Writes ``speed.md`` and ``pictures/speed.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from whole_job import SENSORS, run, stages
+
+RATE_HZ = 200
+LENGTHS_S = (60, 600, 3600)
+LONG_S = (21600, 86400)
+SMOOTHER = ("observe", "nodes", "forward", "backward", "full rate")
+"""Stages from preintegration to full-rate attitude, sigma included."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A peer: its job, its module and distribution, the longest log it gets, what it gives."""
+
+    job: str
+    module: str
+    distribution: str
+    most_s: int
+    gives: str
+    reads: bool = False
+
+
+PEERS = (
+    Peer("vqf", "vqf", "vqf", 86400, "offlineVQF 9D (C++), smoothed, no sigma"),
+    Peer("imufusion", "imufusion", "imufusion", 3600, "complementary filter (C), causal, no sigma"),
+    Peer("gtsam", "gtsam", "gtsam", 600, "batch, Rot3 at 10 Hz (C++), sigma"),
+    Peer("filterpy", "filterpy", "filterpy", 600, "Kalman filter + RTS, sigma"),
+    Peer("ahrs", "ahrs", "ahrs", 60, "EKF, causal, no sigma"),
+    Peer("rosbags", "rosbags", "rosbags", 600, "an object a message", reads=True),
+    Peer("mcap-ros2-support", "mcap_ros2", "mcap-ros2-support", 600, "an object a message", reads=True),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: CPU seconds for so many samples (messages for readers), attest's for the same."""
+
+    name: str
+    length_s: int
+    seconds: float
+    attest_seconds: float
+    rows: int
+    inclination_deg: float | None
+    gives: str
+    reads: bool
+
+    def cost(self) -> tuple[str, str, str]:
+        """Return microseconds of both and their ratio."""
+        each = 1e6 / self.rows
+        ratio = f"{self.seconds / self.attest_seconds:.2g}"
+        return f"{self.seconds * each:.3g}", f"{self.attest_seconds * each:.3g}", ratio
+
+
+Whole = dict[int, tuple[float, float]]
+"""Length of the log, s -> CPU seconds, MB."""
+Spent = dict[int, dict[str, float]]
+"""Length of the log, s -> CPU seconds of each stage."""
+
+
+def made(folder: Path, length_s: int) -> Path:
+    """Return the simulated drive of a length, made where it is not there yet."""
+    log = folder / str(length_s) / "drive.mcap"
+    if not log.exists():
+        log.parent.mkdir(parents=True, exist_ok=True)
+        drive = ["simulate", "rover", "-q", "-o", str(log), "--sensors", SENSORS, "--seed", "1"]
+        run([*drive, "--duration", str(length_s), "--rate", str(RATE_HZ)])
+    return log
+
+
+def job(name: str, log: Path, runs: int) -> dict[str, float]:
+    """Return what a peer's job prints, of the run with the least CPU seconds."""
+    command = [sys.executable, str(Path(__file__).with_name("peer_jobs.py")), name, str(log)]
+    found = [
+        json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout) for _ in range(runs)
+    ]
+    best: dict[str, float] = min(found, key=lambda spent: spent["seconds"])
+    return best
+
+
+def against(peer: Peer, logs: dict[int, Path], spent: Spent, runs: int) -> Row:
+    """Run a peer on the longest log it gets."""
+    length = max(length for length in logs if length <= peer.most_s)
+    found = job(peer.job, logs[length], runs)
+    ours = spent[length]["read"] if peer.reads else sum(spent[length].get(name, 0.0) for name in SMOOTHER)
+    name = f"{peer.distribution} {version(peer.distribution)}"
+    inclination = found.get("inclination_deg")
+    return Row(name, length, found["seconds"], ours, int(found["rows"]), inclination, peer.gives, peer.reads)
+
+
+def span(length_s: int) -> str:
+    """Return a length in words."""
+    return f"{length_s // 3600} h" if length_s >= 3600 else f"{length_s // 60} min"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table, numbers to the right."""
+    marks = ["--:" if cell[:1].isdigit() else "---" for cell in next(iter(rows))]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, marks, *rows)) + "\n"
+
+
+def page(rows: Sequence[Row], whole: Whole, spent: Spent) -> str:
+    """Return the page with all tables."""
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    head = f"""# Speed
+
+`python benchmarks/speed/peers.py` makes this page ({machine}; CPU time, user + system,
+the least of the runs; ratios below 1.3 are undecided). The log: `attest simulate rover`, {RATE_HZ} Hz IMU,
+{SENSORS.replace(",", ", ")}; ROS 2 MCAP in zstd. Smoothers get arrays, and only their own work counts; attest's is
+from preintegration to full-rate attitude with its sigma. Readers make objects or arrays of all messages; attest's
+is its read stage, the first in the process. `ratio` is the peer's cost over attest's.
+
+![cost and memory against length](pictures/speed.png)
+"""
+    smoothers = [
+        (r.name, span(r.length_s), *r.cost(), f"{r.inclination_deg:.2g}", r.gives) for r in rows if not r.reads
+    ]
+    readers = [(r.name, span(r.length_s), *r.cost(), r.gives) for r in rows if r.reads]
+    spans, jobs = list(map(span, whole)), list(whole.values())
+    names = [name for name in next(iter(spent.values())) if not name.startswith("page") and name != "whole"]
+    parts = [
+        table(("smoother", "log", "µs a sample", "attest", "ratio", "inclination, ° rms", "gives"), smoothers),
+        table(("reader", "log", "µs a message", "attest", "ratio", "gives"), readers),
+        table(
+            ("whole job", *spans),
+            [("CPU, s", *(f"{cpu:.2f}" for cpu, _ in jobs)), ("memory, MB", *(f"{used:.0f}" for _, used in jobs))],
+        ),
+        table(("stage, CPU s", *spans), [(n, *(f"{s.get(n, 0.0):.3f}" for s in spent.values())) for n in names]),
+    ]
+    return "\n".join([head, *parts])
+
+
+def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent) -> None:
+    """Draw cost and memory against length; peers as what their cost a sample comes to."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from attest_cli.figures.style import THEMES
+
+    ink = THEMES["light"]
+    figure = Figure(figsize=(8.0, 5.6), layout="constrained", dpi=130)
+    FigureCanvasAgg(figure)
+    cost, memory = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    hours = [length / 3600 for length in whole]
+    cost.plot(hours, [cpu for cpu, _ in whole.values()], "o-", color=ink["text"], lw=2, label="attest, whole job")
+    for name, names, mark in (("smoothing", SMOOTHER, "-"), ("reading", ("read",), "--")):
+        of_stages = [sum(found.get(stage, 0.0) for stage in names) for found in spent.values()]
+        cost.plot(hours, of_stages, mark, color=ink["text"], lw=1.5, label=f"attest, {name}")
+    for k, row in enumerate(rows):
+        per_hour = row.seconds / row.length_s * 3600
+        label = f"{row.name}{', reading' if row.reads else ''}"
+        colour = mpl.colormaps["tab10"](k)
+        cost.plot(hours, [per_hour * h for h in hours], "--" if row.reads else "-", color=colour, lw=1, label=label)
+    memory.plot(hours, [used for _, used in whole.values()], "o-", color=ink["text"], lw=2)
+    cost.set(xscale="log", yscale="log", ylabel="CPU, s", title="cost (peers: reading or smoothing alone)")
+    memory.set(xscale="log", yscale="log", xlabel="log, h", ylabel="peak memory, MB")
+    cost.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
+    for axes in (cost, memory):
+        axes.grid(color=ink["grid"], lw=0.6)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, facecolor=ink["paper"], metadata={"Software": None})
+
+
+def measured(folder: Path, lengths: Sequence[int], runs: int) -> tuple[list[Row], Whole, Spent]:
+    """Run everything."""
+    logs = {length: made(folder, length) for length in lengths}
+    whole: Whole = {}
+    spent: Spent = {}
+    for length, log in logs.items():
+        out = folder / "speed.attest"
+        found = [run(["smooth", str(log), "-q", "--overwrite", "-o", str(out)]) for _ in range(runs)]
+        whole[length] = min(found)[0], max(memory for _, memory in found)
+        spent[length] = stages(log, out, runs)
+        print(f"{span(length)}: {whole[length][0]:.2f} s CPU, {whole[length][1]:.0f} MB", flush=True)
+    rows = []
+    for peer in PEERS:
+        try:
+            version(peer.distribution)
+        except PackageNotFoundError:
+            print(f"{peer.distribution}: not installed, left out")
+            continue
+        rows.append(against(peer, logs, spent, runs))
+        print(rows[-1], flush=True)
+    return rows, whole, spent
+
+
+def main() -> None:
+    """Run the benchmark and write its page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--long", action="store_true", help="6 h and 24 h too")
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--logs", type=Path, help="folder that keeps the logs")
+    parser.add_argument("--output", type=Path, default=Path("docs"))
+    wanted = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        lengths = (*LENGTHS_S, *(LONG_S if wanted.long else ()))
+        rows, whole, spent = measured(wanted.logs or Path(scratch), lengths, wanted.runs)
+    wanted.output.mkdir(parents=True, exist_ok=True)
+    (wanted.output / "speed.md").write_text(page(rows, whole, spent), encoding="utf-8")
+    draw(wanted.output / "pictures" / "speed.png", rows, whole, spent)
+
+
+if __name__ == "__main__":
+    main()
