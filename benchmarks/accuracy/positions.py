@@ -26,7 +26,7 @@ from scipy.stats import chi2
 
 from attest_cli.filters import Drive
 from attest_cli.filters.navigation.aids import Place
-from attest_cli.filters.navigation.fixes import place_of
+from attest_cli.filters.navigation.fixes import place_of, possible
 from attest_cli.filters.navigation.rounds import Navigated, navigate, shifted
 from attest_cli.nodes.noise import find_noise
 from attest_cli.prepare import prepare
@@ -122,7 +122,7 @@ def predicted(done: Navigated, drive: Drive, role: str, hidden: NDArray[np.bool_
     aid = next(a for a in done.problem.aids if isinstance(a, Place) and a.role == role)
     use = unseen & near
     test = replace(aid, node=every.node[use], t=every.t[use],
-                   place_n=every.place_n[use] - every.place_n[np.flatnonzero(~unseen)[0]],
+                   place_n=every.place_n[use],
                    sigma=np.tile(np.nanmedian(aid.sigma, axis=0), (int(use.sum()), 1)))  # fmt: skip
     form, found = done.problem.layout, done.found
     ahead, rows = (test.rows(form, at) for at in (found.at.moved(found.found.x), found.smoothed))
@@ -137,9 +137,9 @@ def without(drive: Drive, role: str) -> tuple[Navigated, float, float]:
     """Solve without any fix; return RMS of the fitted path at the fixes, and its length, m."""
     fixes = {name: f for name, f in drive.log.fixes.items() if name != role}
     done = navigate(replace(drive, log=replace(drive.log, fixes=fixes)))
-    truth = place_of(drive, done.nodes, role, np.zeros(3))
+    known, place, _ = possible(drive, role)
     path = done.found.smoothed.p[:, :2] @ [1.0, 1.0j]
-    x, y = np.interp(truth.t, done.nodes.t, path), truth.place_n[:, :2] @ [1.0, 1.0j]
+    x, y = np.interp(drive.log.fixes[role].t[known], done.nodes.t, path), place[known, :2] @ [1.0, 1.0j]
     x, y = x - x.mean(), y - y.mean()
     turn = np.vdot(x, y)
     error = y - x * turn / abs(turn)

@@ -33,12 +33,12 @@ def place_of(drive: Drive, nodes: Nodes, role: str, arm: Array) -> Place:
     fixes = drive.log.fixes[role]
     node = np.clip(np.searchsorted(nodes.t, fixes.t), 1, len(nodes.t) - 1)
     node = np.where(fixes.t - nodes.t[node - 1] < nodes.t[node] - fixes.t, node - 1, node)
-    possible, place, sigma = _possible(drive, role)
-    use = possible & (np.abs(nodes.t[node] - fixes.t) < ON_NODE_S)
+    can_be, place, sigma = possible(drive, role)
+    use = can_be & (np.abs(nodes.t[node] - fixes.t) < ON_NODE_S)
     return Place(node[use], fixes.t[use], place[use], sigma[use], arm, role)
 
 
-def _possible(drive: Drive, role: str) -> tuple[Bools, Array, Array]:
+def possible(drive: Drive, role: str) -> tuple[Bools, Array, Array]:
     """Return which fixes can be, and all of them in metres east, north and up of the first of these, with their sigma.
 
     A fix as far off the median of its neighbours as no vehicle goes (0, 0 before the receiver knew its place) would
@@ -68,7 +68,7 @@ def _possible(drive: Drive, role: str) -> tuple[Bools, Array, Array]:
 
 def far_off(drive: Drive, role: str) -> list[Warn]:
     """Say how many fixes cannot be."""
-    count = int(np.isfinite(drive.log.fixes[role].values[:, :2]).all(axis=1).sum() - _possible(drive, role)[0].sum())
+    count = int(np.isfinite(drive.log.fixes[role].values[:, :2]).all(axis=1).sum() - possible(drive, role)[0].sum())
     return [Warn(f"{role}-outliers", f"{count} fixes of {role} are far from all others: not used")] if count else []
 
 
@@ -76,7 +76,7 @@ def origin_of(drive: Drive) -> tuple[float, float, float] | None:
     """Return where the position counts from: the first fix that can be, rad, rad, m."""
     if "gps" not in drive.log.fixes:
         return None
-    values = drive.log.fixes["gps"].values[_possible(drive, "gps")[0]]
+    values = drive.log.fixes["gps"].values[possible(drive, "gps")[0]]
     return (float(values[0, 0]), float(values[0, 1]), _height(values)) if len(values) else None
 
 

@@ -40,6 +40,7 @@ PLACE_DRIFT, PLACE_DRIFT_S = 0.2, 60.0  # coloured error of fixes: share of thei
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
 LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
 NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
+ROLLING_M_S = 30.0  # of what has wheels, m/s at the start
 NORTH_RAD, WENT = 0.5, 5.0  # sigma of a heading that is shown; share of their sigma by which places have to spread
 MOVING = {"odometry", "gps", "gps_velocity", "position"}  # sensors of how it moves: it may be fast
 MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
@@ -172,9 +173,10 @@ def node_spacing(drive: Drive) -> float:
 
 def _core_states(drive: Drive) -> list[State]:
     cfg = drive.settings
-    fast = bool(MOVING & drive.log.fixes.keys())
+    fast = MOVING & drive.log.fixes.keys()
+    speed = ROLLING_M_S if "odometry" in fast else FAST_M_S if fast else 1.0
     states = [
-        State("attitude", 3, TILT_SIGMA), State("velocity", 3, FAST_M_S if fast else 1.0), State("position", 3, 1e-3),
+        State("attitude", 3, TILT_SIGMA), State("velocity", 3, speed), State("position", 3, 1e-3),
         State("gyro bias", 3, cfg.imu.gyro_bias_sigma), State("accelerometer bias", 3, cfg.imu.accel_bias_sigma),
     ]  # fmt: skip
     if drive.noise.gyro_scale > 0.0:
@@ -230,7 +232,7 @@ def _inertial_aids(drive: Drive, nodes: Nodes) -> list[Aid]:
         if np.isfinite(place):
             aids.append(Bound("place", "position", moving, t[moving], place * inflated, robust=True))
         seen = {"gps", "gps_velocity", "position"} & drive.log.fixes.keys()
-        if not seen or drive.settings.navigation.motion != "auto":
+        if not seen or "odometry" in drive.log.fixes or drive.settings.navigation.motion != "auto":
             aids.append(Bound("speed", "velocity", moving, t[moving], speed * inflated, robust=True))
     return aids
 
