@@ -271,10 +271,11 @@ class Height:
 class Wheels:
     r"""Velocity in vehicle axes (k, 3) from wheels; sideways and up it is the non-holonomic constraint.
 
-    .. math:: z=v_v+s\,\bar v_x e_x-\mu\times\bar v+\text{slip},\quad v_v=C_{vb}(R^Tv+\omega\times l)
+    .. math:: z=v_v+\bar v_x(s,\,-\mu_z,\,\mu_y)^T+\text{slip},\quad v_v=C_{vb}(R^Tv+\omega\times l)
 
-    Scale ``s`` and mounting ``mu`` act on the calm velocity, its mean over two seconds: the IMU feels the body bounce,
-    the wheels do not, and a scale fitted to that would be too small.
+    Scale ``s`` and the mounting's pitch and yaw ``mu`` act on the calm forward speed, its mean over two seconds: the
+    IMU feels the body bounce, the wheels do not, and a scale fitted to that would be too small. A vehicle that goes
+    forward does not show the mounting's roll.
     """
 
     node: Ints
@@ -282,7 +283,7 @@ class Wheels:
     velocity_v: Array
     sigma: Array  # (k, 3)
     R_vb: Array
-    seat_sigma: Array  # (3,) rad, how well R_vb is known
+    seat_sigma: Array  # (2,) rad, how well pitch and yaw of R_vb are known
     rate_b: Array  # (k, 3) rad/s
     lever_b: Array  # (3,) m, from the IMU to where the wheels' velocity is that of the vehicle
     role: str = "odometry"
@@ -295,18 +296,18 @@ class Wheels:
         if "odometry lever arm" in layout:
             arm = arm + x[:, layout.parts["odometry lever arm"]]
         v_v = (v_b + np.cross(self.rate_b, arm)) @ self.R_vb.T
-        calm = _calm(v_v, self.t)
+        calm = _calm(v_v[:, 0], self.t)
         scale, seat, slip = (layout.parts[f"odometry {name}"] for name in ("scale", "mounting", "slip"))
-        predicted = v_v - np.cross(x[:, seat], calm) + x[:, slip]
-        predicted[:, 0] += x[:, scale.start] * calm[:, 0]
+        bent = np.stack([x[:, scale.start], -x[:, seat.start + 1], x[:, seat.start]], axis=1)
+        predicted = v_v + calm[:, None] * bent + x[:, slip]
         H = blank(layout, len(R), 3)
-        H[:, :, :3] = self.R_vb @ rotation.skew(v_b)
-        H[:, :, 3:6] = self.R_vb @ R.swapaxes(1, 2)
-        H[:, 0, scale.start] = calm[:, 0]
-        H[:, :, seat] = rotation.skew(calm)
+        to_v = self.R_vb + bent[:, :, None] * self.R_vb[0]  # an error of attitude or velocity is calm: seen twice
+        H[:, :, :3], H[:, :, 3:6] = to_v @ rotation.skew(v_b), to_v @ R.swapaxes(1, 2)
+        H[:, 0, scale.start] = H[:, 2, seat.start] = calm
+        H[:, 1, seat.start + 1] = -calm
         H[:, :, slip] = np.eye(3)
         if "odometry lever arm" in layout:
-            H[:, :, layout.parts["odometry lever arm"]] = self.R_vb @ rotation.skew(self.rate_b)
+            H[:, :, layout.parts["odometry lever arm"]] = to_v @ rotation.skew(self.rate_b)
         return _known(Rows(self.node, self.t, self.velocity_v - predicted, H, self.sigma))
 
     def scaled(self, factor: float) -> Wheels:
@@ -315,11 +316,11 @@ class Wheels:
 
 
 def _calm(v: Array, t: Array) -> Array:
-    """Return the mean of ``v`` (k, 3) over ``CALM_S`` around each time."""
-    total = np.concatenate([np.zeros((1, v.shape[1])), np.cumsum(v, axis=0)])
+    """Return the mean of ``v`` (k,) over ``CALM_S`` around each time."""
+    total = np.concatenate([[0.0], np.cumsum(v)])
     lo = np.searchsorted(t, t - 0.5 * CALM_S, side="left")
     hi = np.searchsorted(t, t + 0.5 * CALM_S, side="right")
-    return np.asarray((total[hi] - total[lo]) / (hi - lo)[:, None])
+    return np.asarray((total[hi] - total[lo]) / (hi - lo))
 
 
 def _known(rows: Rows) -> Rows:

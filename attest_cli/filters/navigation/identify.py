@@ -20,7 +20,7 @@ from .solve import forward, log_likelihood, pile
 from .states import Layout
 
 WINDOW_NODES = 1500  # enough to tell a noise to a few per cent, and quick
-CHECK_NODES, WIDER, TOO_FAR, MOST_DOUBLINGS = 4000, 2.0, 1.15, 4
+CHECK_NODES, WIDER, TOO_FAR, MOST_STEPS = 4000, 1.41, 1.15, 8
 HIDDEN_S, BETWEEN_S = 15.0, 25.0  # outages by which the coloured errors of fixes are checked
 ROUNDS = 2
 STEPS = (4.0, 2.0, 1.41)  # factors tried, coarse to fine
@@ -106,23 +106,21 @@ def widened(
     """Return the factors with noise wide enough for outages of the fixes.
 
     The likelihood judges from fix to fix; what wanders more slowly, a coloured error or an IMU that is worse than it
-    looks from one second to the next, shows when a stretch of fixes is hidden. What explains them best is doubled, for
+    looks from one second to the next, shows when a stretch of fixes is hidden. What explains them best is widened, for
     as long as they lie too far off.
     """
     out = dict(factors)
     if not any(isinstance(aid, Place) for aid in aids):
         return out
     window = _window(form, P0, inertial, aids, at, CHECK_NODES)
-    square, best = window.withheld(out)
-    for _ in range(MOST_DOUBLINGS):
+    square, _ = window.withheld(out)
+    for _ in range(MOST_STEPS):
         if square <= TOO_FAR:
             break
         trials = [{**out, name: out[name] * WIDER} for name in _slow(out, aids)]
         judged = [window.withheld(trial) for trial in trials]
         k = int(np.argmax([likely for _, likely in judged]))
-        if judged[k][1] < best + WORTH:
-            break
-        out, (square, best) = trials[k], judged[k]
+        out, (square, _) = trials[k], judged[k]
     return out
 
 

@@ -19,7 +19,7 @@ from ..choice import LIVELY_RAD_S, liveliness
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .fixes import FAST_M_S, far_off, origin_of, place_of
 from .model import Inertial, Trajectory, inertial_of
-from .start import heading_of_velocity, heading_offset
+from .start import heading_of_velocity, heading_of_wheels, heading_offset
 from .states import Layout, State, layout
 from .streams import clock_of, height_of, velocity_of
 
@@ -83,8 +83,9 @@ def assemble(
     roles = [role for role in ("gps", "position") if role in drive.log.fixes]
     places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
     doubts = [warn for role in roles for warn in far_off(drive, role)]
+    wheels, told = _wheels(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
     if heading == "relative" and (places or "gps_velocity" in drive.log.fixes):
-        turn, shows = _headed(drive, nodes, q, bias, places)
+        turn, shows = _headed(drive, nodes, q, bias, places, wheels)
         if shows:
             heading = "absolute"
             q = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q)
@@ -110,11 +111,10 @@ def assemble(
         aids.append(place)
     more, further = _streams(drive, nodes, bias, arms)
     aids, states = aids + more, states + further
-    wheels, told = _wheels(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
     if wheels is not None:
         cfg = drive.settings.odometry
         states += [
-            State("odometry scale", 1, cfg.scale_sigma), State("odometry mounting", 3, wheels.seat_sigma),
+            State("odometry scale", 1, cfg.scale_sigma), State("odometry mounting", 2, wheels.seat_sigma),
             State("odometry slip", 3, SLIP_SHARE * np.array([cfg.sigma_m_s, *[cfg.lateral_sigma_m_s] * 2]), SLIP_S),
         ]  # fmt: skip
         aids.append(wheels)
@@ -135,12 +135,17 @@ def assemble(
     )  # fmt: skip
 
 
-def _headed(drive: Drive, nodes: Nodes, q: Array, bias: Array, places: Sequence[Place]) -> tuple[float, bool]:
+def _headed(
+    drive: Drive, nodes: Nodes, q: Array, bias: Array, places: Sequence[Place], wheels: Wheels | None
+) -> tuple[float, bool]:
     """Return the turn about the vertical, rad, to where the receiver went, and whether it went anywhere."""
     if not places:
         turn, sigma = heading_of_velocity(drive.log.imu, nodes.t, q, velocity_of(drive, nodes, bias, np.zeros(3)))
         return turn, sigma < NORTH_RAD
     turn, sigma = heading_offset(drive.log.imu, nodes.t, q, np.zeros(3), places[0])
+    if wheels is not None:  # a slow rover shows its path, hardly its acceleration
+        by_path = heading_of_wheels(nodes.t, q, wheels, places[0])
+        turn, sigma = min((turn, sigma), by_path, key=lambda found: found[1])
     if not nodes.moving.any():
         return turn, False
     level = places[0].place_n[:, :2]
@@ -350,9 +355,9 @@ def _wheels(
     if not given and not found and not upright(drive.segmentation, drive.log.imu):
         message = "odometry not used: the drive does not show how the IMU sits in the vehicle"
         return None, [Warn("odometry-not-used", message, "give [imu] mounting")]
-    R_vb, seat_sigma = np.eye(3), np.full(3, STATED_SEAT if given else ASSUMED_SEAT)
+    R_vb, seat_sigma = np.eye(3), np.full(2, STATED_SEAT if given else ASSUMED_SEAT)
     if seat is not None and found and not given:
-        R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma
+        R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma[1:]
     t = odometry.t - (seat.lag if seat is not None else 0.0)
     at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
     after = np.clip(np.searchsorted(t, nodes.t[at]), 1, len(t) - 1)

@@ -6,9 +6,9 @@ import numpy as np
 
 from ...maths import rotation
 from ...records import Array, Imu
-from .aids import Place, Velocity
+from .aids import Place, Velocity, Wheels
 
-APART_S = 1.0  # fixes at least this far apart are compared
+APART_S, LEG_S = 1.0, 10.0  # fixes at least this far apart are compared, with the IMU and with the wheels
 LEAST_TRIPLES = 5
 
 
@@ -49,6 +49,19 @@ def heading_of_velocity(imu: Imu, t: Array, q: Array, velocity: Velocity) -> tup
     return _turn(np.diff(velocity.velocity_n[rows, :2], axis=0), np.diff(felt, axis=0))
 
 
+def heading_of_wheels(t: Array, q: Array, wheels: Wheels, place: Place) -> tuple[float, float]:
+    r"""Return the turn of :func:`heading_offset` from legs of the path: :math:`p_1-p_0=R_z(\psi)\int Rv_b`."""
+    velocity = np.zeros((len(t), 2))  # nodes without wheels are rests
+    velocity[wheels.node] = rotation.rotate(q[wheels.node], wheels.velocity_v @ wheels.R_vb)[:, :2]
+    steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    rows = _apart(place.t, LEG_S)
+    if len(rows) < LEAST_TRIPLES + 1:
+        return 0.0, np.pi
+    went = np.stack([np.interp(place.t[rows], t, path[:, i]) for i in range(2)], axis=1)
+    return _turn(np.diff(place.place_n[rows, :2], axis=0), np.diff(went, axis=0))
+
+
 def _felt(imu: Imu, t: Array, q: Array, bias_a: Array) -> tuple[Array, Array]:
     """Return the level acceleration and velocity (n, 2) that the IMU feels, in the axes of the attitude."""
     at = np.interp(imu.t, t, np.arange(len(t)))
@@ -60,11 +73,11 @@ def _felt(imu: Imu, t: Array, q: Array, bias_a: Array) -> tuple[Array, Array]:
     return a, np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def _apart(t: Array) -> list[int]:
-    """Return rows at least ``APART_S`` apart."""
+def _apart(t: Array, least: float = APART_S) -> list[int]:
+    """Return rows at least so far apart."""
     rows = [0]
     for k in range(1, len(t)):
-        if t[k] - t[rows[-1]] >= APART_S:
+        if t[k] - t[rows[-1]] >= least:
             rows.append(k)
     return rows
 
