@@ -89,11 +89,13 @@ def evaluate(result: Poses, reference: Poses, options: Options) -> Evaluation:
     elif offset is not None:
         offset = replace(offset, seconds=offset.seconds + given)
     frames, found = _judge(result, reference, est, ref, options, compared)
-    warnings = (*result.warnings, *reference.warnings, *_warnings(found, frames))
+    told = _warnings(found, frames)
+    warnings = (*result.warnings, *reference.warnings, *told)
     attitude, position, heading, noise = found
     moving_from = "reference" if reference.moving is not None else "result" if result.moving is not None else ""
     full = result.claims is not None and result.claims.full
-    verdict = _verdict(attitude or (position if frames.mode == "none" else None))
+    same_place = frames.mode == "none" and all(warn.code != "other-origin" for warn in told)
+    verdict = _worst(_verdict(attitude), _verdict(position if same_place else None))
     return Evaluation(
         options, frames, offset, applied, attitude, position, heading, noise, full, moving_from, verdict, warnings
     )
@@ -109,6 +111,12 @@ def _verdict(judged: Judgement | None) -> str | None:
     """
     shares = [judged.coverage[axis] for axis in AXES if axis in judged.coverage] if judged is not None else []
     return None if not shares else "PASS" if all(map(consistency.holds, shares)) else "WARN"
+
+
+def _worst(*verdicts: str | None) -> str | None:
+    """Return the worst of verdicts that were given."""
+    given = [verdict for verdict in verdicts if verdict is not None]
+    return None if not given else "WARN" if "WARN" in given else "PASS"
 
 
 def _known(values: Array) -> Bools:
@@ -342,7 +350,7 @@ def _warnings(found: Found, frames: Frames) -> list[Warn]:
             f"positions stand {apart:.3g} m apart and vary by {spread:.2g} m only: they seem to count from two places"
         )
         told.append(Warn("other-origin", fact, "--align yaw fits a turn and a shift"))
-    elif attitude is not None and _verdict(position) == "WARN":
+    elif _verdict(position) == "WARN":
         worst = max(shares.mean_square for shares in position.coverage.values())
         fact = f"position errors are larger than their sigma allows: {np.sqrt(worst):.1f} sigma rms on the worst axis"
         told.append(Warn("position-sigma", fact, "see the coverage of each axis, and the scale of the odometry"))

@@ -205,6 +205,17 @@ def test_nees_of_errors_drawn_from_the_claims_is_their_degrees_of_freedom(
     assert found.band_share == pytest.approx(0.95 if factor == 1.0 else 0.67, abs=0.03)
 
 
+@pytest.mark.parametrize(("attitude", "position"), [(1.0, 9.0), (9.0, 1.0), (1.0, 1.0)])
+def test_the_verdict_is_that_of_the_worse(rng: np.random.Generator, attitude: float, position: float) -> None:
+    """A claim three times too small, of either, is WARN."""
+    e, p = (rng.normal(0.0, sigma, (T.size, 3)) for sigma in (1e-3, 0.3))
+    wrong = replace(
+        RESULT, q=rotation.multiply(rotation.exp_quaternion(e), RESULT.q), position=RESULT.position + p - p[0]
+    )
+    found = evaluate(claiming(wrong, 1e-6 * np.eye(3) / attitude, 0.09 * np.eye(3) / position), RESULT, Options())
+    assert found.verdict == ("PASS" if attitude == position == 1.0 else "WARN")
+
+
 def test_a_yaw_alignment_trusts_the_samples_that_claim_to_be_sure(rng: np.random.Generator) -> None:
     """A relative heading that walks away from its start is aligned at the start, where its sigma is small."""
     walk = np.cumsum(rng.normal(0.0, 0.002, T.size))
