@@ -50,7 +50,7 @@ MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
     "vehicle": (np.inf, 30.0),
     "drone": (np.inf, 15.0),
 }
-LIVELY_WALK = 2e-4  # rad/s^2/sqrt(Hz) at 1 rad/s: a MEMS gyro's bias under lively motion, where no walk is stated
+LIVELY_WALK = 4e-4  # rad/s^2/sqrt(Hz): a MEMS gyro's bias in a hand that turns it, where no walk is stated
 MOST_NODES = 12_000  # about 3 GB at 30 states
 LIVELY_SPACING_S = 0.05  # between nodes of such a log; 0.1 s costs 3 % of accuracy there
 
@@ -197,7 +197,8 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     bare = np.zeros(n - 1)
     walk = noise.gyro_walk
     if noise.sources["gyro_random_walk"] != "settings":
-        walk = float(np.hypot(walk, LIVELY_WALK * min(1.0, liveliness(drive.log, drive.segmentation))))
+        lively = liveliness(drive.log, drive.segmentation) / LIVELY_RAD_S
+        walk = float(np.hypot(walk, LIVELY_WALK * min(1.0, lively) ** 2))
     walks = (walk**2, drive.settings.imu.accel_random_walk**2)
     found = inertial_of(nodes, drive.log.imu, (bare, bare), walks, drive.world.gravity)
     steps, starts = found.steps, found.steps.first[:-1]
@@ -207,8 +208,8 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     moving = ~nodes.frozen
     gyro = noise.n_r + np.where(moving & scaled, (RATE_SHARE * rate) ** 2, 0.0)
     stated = drive.settings.imu.accel_noise_density is not None
-    lively = np.abs(force - drive.world.gravity)
-    unmodelled = 0.0 if stated else ACCEL_FLOOR**2 + (ACCEL_SHARE * lively) ** 2
+    felt = np.abs(force - drive.world.gravity)
+    unmodelled = 0.0 if stated else ACCEL_FLOOR**2 + (ACCEL_SHARE * felt) ** 2
     accel = noise.accel_density**2 + np.where(moving, unmodelled, 0.0)
     imu = drive.log.imu
     gyro = gyro + clipped_density(imu.t, imu.gyro_clipped, nodes.t)

@@ -23,7 +23,7 @@ from .streams import clock_of, own_nodes
 
 FIRST_PASSES, AUTO_PASSES = 5, 9
 ROUNDS = 4  # of finding how late the fixes are, and where their antenna is
-LEAST_LAG_S = 2e-3
+LEAST_LAG_S, MOST_LAG_S = 2e-3, 1.0  # a receiver may be late by as much
 SURE = 3.0  # sigmas from which a lag or an arm is believed
 SHOWN = 0.5  # of its prior sigma: what a drive must leave of an axis of a lever arm that it shows
 SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to begin with, from which it is found
@@ -56,7 +56,7 @@ def navigate(drive: Drive) -> Navigated:
     learnt = Learnt(arms=_stated_arms(drive))
     done = _round(drive, learnt, None)
     for _ in range(ROUNDS - 1):
-        lags = _lags(done.problem, done.found)
+        lags = _lags(done.problem, done.found, done.learnt.lags)
         arms = {} if lags else _hidden_arms(done.problem, done.found)  # a lag hides them
         if not lags and not arms:
             break
@@ -170,15 +170,16 @@ def _solved(drive: Drive, problem: Problem) -> solve.Solution:
     return solve.solve(problem.layout, problem.prior, problem.inertial, problem.aids, problem.at, most, problem.tune)
 
 
-def _lags(problem: Problem, found: solve.Solution) -> dict[str, float]:
-    """Return how late fixes still are, s, where that is sure."""
+def _lags(problem: Problem, found: solve.Solution, known: Mapping[str, float]) -> dict[str, float]:
+    """Return how late fixes still are, s, where that is sure, and can be."""
     out = {}
     for name, part in problem.layout.parts.items():
         if name.endswith(" lag"):
             at = part.start
             lag, sigma = float(found.smoothed.x[0, at]), float(np.sqrt(found.errors.P[0, at, at]))
-            if abs(lag) > max(LEAST_LAG_S, SURE * sigma):
-                out[name.removesuffix(" lag")] = lag
+            role = name.removesuffix(" lag")
+            if abs(lag) > max(LEAST_LAG_S, SURE * sigma) and abs(known.get(role, 0.0) + lag) < MOST_LAG_S:
+                out[role] = lag
     return out
 
 
