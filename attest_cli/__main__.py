@@ -14,6 +14,7 @@ from types import FrameType
 from .errors import AttestError
 
 REFUSED, USAGE = 1, 2
+RETRY_S = 0.01  # after a signal that came while a library was loaded
 
 
 class Stopped(BaseException):
@@ -34,7 +35,12 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")  # a terminal without sigma shows its code, and no traceback
-    sys.exit(run(sys.argv[1:] or ["--help"]))
+    try:
+        code = run(sys.argv[1:] or ["--help"])
+        _ignore_signals()  # the work is done: leave with its code
+    except Stopped as stop:
+        code = stop.exit_code
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -115,10 +121,26 @@ def _escaped(block: str) -> str:
     return "".join(f"{plain(line)}\n" for line in block.splitlines())
 
 
-def _stop(number: int, _frame: FrameType | None) -> None:
-    for other in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(other, signal.SIG_IGN)  # one is enough: clearing up must not be cut short
-    raise Stopped(number)
+def _stop(number: int, frame: FrameType | None) -> None:
+    _ignore_signals()  # one is enough: clearing up must not be cut short
+    if _importing(frame) and hasattr(signal, "setitimer"):  # a library that is cut off while it loads may abort
+        signal.signal(signal.SIGALRM, lambda _, later: _stop(number, later))
+        signal.setitimer(signal.ITIMER_REAL, RETRY_S)
+    else:
+        raise Stopped(number)
+
+
+def _ignore_signals() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from .commands.doctor import doctor
 from .commands.options import (
     METHOD,
     OUTPUT,
@@ -391,4 +392,5 @@ def segment(
     return command.run(logs, config, overrides, output, console, overwrite=overwrite)
 
 
+app.command()(doctor)
 app.command()(simulate)

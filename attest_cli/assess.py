@@ -142,7 +142,7 @@ def _stop_columns(
     if position is not None and hi > lo:
         middle = (lo + hi) // 2
         k = int(np.argmin(np.abs(t - log.imu.t[middle])))
-        row |= {f"position_{a}_m": _value(v) for a, v in zip("xyz", position.p[middle], strict=True)}
+        row |= {f"position_{a}_m": _value(v) for a, v in zip("xyz", position.p[k], strict=True)}
         row["sigma_position_m"] = _value(np.sqrt(np.trace(position.P[k]))) if np.isfinite(position.P[k]).all() else None
     return row
 

@@ -11,10 +11,12 @@ from . import filters
 from .assess import Pass
 from .filters.alignment import Start
 from .filters.choice import choose
-from .maths import rotation
+from .filters.lag import find_lags
+from .maths import kalman, rotation
+from .maths.kalman import Chain
 from .nodes import Nodes
 from .nodes.noise import Noise, find_noise
-from .records import Array, Bools, FilterRun, Ints, Log, Segmentation, Shown, Smoothed, Warn, World
+from .records import Array, Bools, FilterRun, Fixes, Ints, Log, Segmentation, Shown, Smoothed, Warn, World
 from .settings import Settings
 from .smoothers import SMOOTHERS, backward_estimate, gauss_newton, thinned
 from .track import full_rate
@@ -22,6 +24,7 @@ from .world import find_world
 
 Progress = Callable[[str, float], None]
 AUTO_PASSES = 12
+LAG_ROUNDS = 2  # a sensor that is seconds late has bent the attitude that it is held against
 BENT_SHARE = 1e-3  # of the nodes
 DOUBTFUL_SHARE = 0.02  # of the measurements refused: the trajectory may be the one at fault
 
@@ -34,16 +37,14 @@ def silent(stage: str, share: float) -> None:
 class Estimate:
     """What the filters made of a log.
 
-    ``world`` and ``noise`` they assumed; the ``forward`` run with its ``nodes`` (None: the samples are its nodes); at
-    the m nodes that are told of: ``smoothed``, the three ``passes``, ``moving``, and the ``errors`` that a position
-    counts on; ``q`` (n, 4) the smoothed attitude at the IMU samples; the ``filter`` used, and what it has ``shown`` of
-    the sensors.
+    ``world`` and ``noise`` they assumed; the ``forward`` run without its matrices; at the m nodes that are told of:
+    ``smoothed``, the three ``passes``, ``moving``, and the ``errors`` that a position counts on; ``q`` (n, 4) the
+    smoothed attitude at the IMU samples; the ``filter`` used, and what it has ``shown`` of the sensors.
     """
 
     world: World
     noise: Noise
     forward: FilterRun
-    nodes: Nodes | None
     smoothed: Smoothed
     errors: Smoothed
     passes: Mapping[str, Pass]
@@ -66,7 +67,33 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     if not segmentation.stops and found.nodes is not None:
         again = replace(segmentation, bias_b=smoothed.bias.mean(axis=0))
         found, smoothed = _solve(log, again, settings, progress)
-    return _told(log, found, smoothed, find_world(log, settings), settings)
+    world = find_world(log, settings)
+    lags = dict[str, float]()
+    for _ in range(LAG_ROUNDS):
+        more = find_lags(log, smoothed, world, settings)
+        if not more:
+            break
+        lags |= {role: lags.get(role, 0.0) + lag for role, lag in more.items()}
+        log = replace(log, fixes={role: _earlier(fixes, more.get(role, 0.0)) for role, fixes in log.fixes.items()})
+        found, smoothed = _solve(log, segmentation, settings, progress)
+    forward, errors, smoothed = _passes(found.run, smoothed, settings)
+    samples = None if found.nodes is None else found.nodes.samples
+    found = replace(found, run=_lean(found.run), nodes=None, start=None)
+    told = _told(found, forward, smoothed, errors, world, settings, over_nodes=samples is not None)
+    told = replace(told, warnings=(*told.warnings, *(_late(role, lag) for role, lag in lags.items())))
+    if samples is None:
+        return replace(told, q=rotation.continuous(smoothed.q))
+    del found, forward, errors, smoothed  # full rate is long enough
+    return replace(told, q=full_rate(samples, told.smoothed))
+
+
+def _earlier(fixes: Fixes, lag: float) -> Fixes:
+    return replace(fixes, t=fixes.t - lag) if lag else fixes
+
+
+def _late(role: str, lag: float) -> Warn:
+    word = "late" if lag > 0 else "early"
+    return Warn(f"{role}-late", f"{role} is {abs(lag):.2f} s {word} against the gyro: corrected")
 
 
 def _solve(
@@ -83,27 +110,44 @@ def _solve(
     return found, SMOOTHERS[settings.smoothing.smoother](found.run)
 
 
-def _told(log: Log, found: filters.Forward, smoothed: Smoothed, world: World, settings: Settings) -> Estimate:
-    """Bring the passes to full rate and to the nodes that are told of, and say what the filter left open."""
-    run, cfg = found.run, settings.smoothing
-    q = rotation.continuous(smoothed.q) if found.nodes is None else full_rate(found.nodes, smoothed, log.imu.t)
+def _passes(run: FilterRun, smoothed: Smoothed, settings: Settings) -> tuple[Smoothed, Smoothed, Smoothed]:
+    """Return the forward pass, the errors that a position counts on, and the smoothed pass with its backward
+    information: all that is made of the run's steps.
+    """
     # the literal procedure counts the past twice: the exact covariance is no larger a claim
-    errors = SMOOTHERS["two-filter"](run) if cfg.smoother == "paper" else smoothed
-    rows = _rows(run, cfg.node_spacing_s) if found.nodes is None else np.arange(len(run.t))
-    forward = SMOOTHERS["none"](run)
+    errors = SMOOTHERS["two-filter"](run) if settings.smoothing.smoother == "paper" else smoothed
+    information = smoothed.information or kalman.information(run.chain)
+    return SMOOTHERS["none"](run), errors, replace(smoothed, information=information)
+
+
+def _told(
+    found: filters.Forward, forward: Smoothed, smoothed: Smoothed, errors: Smoothed, world: World, settings: Settings,
+    *, over_nodes: bool,
+) -> Estimate:  # fmt: skip
+    """Bring the passes to the nodes that are told of, and say what the filter left open."""
+    run, cfg = found.run, settings.smoothing
+    rows = slice(None) if over_nodes else _rows(run, cfg.node_spacing_s)
     passes = {
         "forward": Pass(forward.q[rows], forward.bias[rows], forward.P[rows]),
         "backward": Pass(*(values[rows] for values in backward_estimate(run, smoothed.information))),
     }
-    if found.nodes is None:
-        smoothed = thinned(smoothed, rows)
-        errors = smoothed
+    smoothed = replace(smoothed, information=None) if over_nodes else thinned(smoothed, _rows(run, cfg.node_spacing_s))
     passes["smoothed"] = Pass(smoothed.q, smoothed.bias, smoothed.P)
-    warnings = (*found.warnings, *_warnings(run, smoothed, settings, over_nodes=found.nodes is not None))
+    warnings = (*found.warnings, *_warnings(run, smoothed, settings, over_nodes=over_nodes))
     return Estimate(
-        world, found.noise, run, found.nodes, smoothed, errors, passes, run.moving[rows], q, warnings, cfg.filter,
-        found.shown,
+        world, found.noise, _lean(run, told=True), smoothed,
+        errors if over_nodes and cfg.smoother == "paper" else smoothed, passes, run.moving[rows], np.empty((0, 4)),
+        warnings, cfg.filter, found.shown,
     )  # fmt: skip
+
+
+def _lean(run: FilterRun, *, told: bool = False) -> FilterRun:
+    """Return the run without the matrices of its steps, and of its nodes once they are told of: a long log has many."""
+    chain = run.chain
+    none = np.empty((0, *chain.P.shape[1:]))
+    chain = Chain(none, none if told else chain.P, none, none, chain.dx, none, none[:, 0], chain.rotations)
+    run = replace(run, chain=chain, increments=None)
+    return replace(run, read=None, beforehand=None) if told else run
 
 
 def _rows(run: FilterRun, spacing: float) -> Ints:

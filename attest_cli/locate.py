@@ -22,6 +22,7 @@ IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 ASKEW_DEG = 15.0  # wheels that drive this far from the stated forward axis contradict it
 DEAD_M_S = 1e-3
 HANGING = -0.7  # up along the IMU's z axis below which it points down
+LYING = 0.5  # the same of a vehicle whose IMU is mounted as stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ def locate(
     q, mode, odometry = est.q, settings.smoothing.position, log.fixes.get("odometry")
     if mode == "odometry" and odometry is None:
         raise AttestError(f"{log.sources[0].name}: no odometry for the position", "use --position auto")
-    told = _hanging(log, segmentation)
+    told = _hanging(log, segmentation, given=settings.imu.mounting != "auto")
     seat, wheels = None, None
     if odometry is not None:
         seat = mounting.find_mounting(log.imu, q, segmentation, odometry, est.world.gravity)
@@ -134,11 +135,20 @@ def _vehicle(seat: Mounting | None, settings: Settings) -> Vehicle:
     return Vehicle(seat.q_bv, seat.sigma, told)
 
 
-def _hanging(log: Log, segmentation: Segmentation) -> list[Warn]:
-    """Say where the IMU's z axis points down: its track stands on its head, which a reader may not expect."""
-    if not segmentation.stops or up_at_stops(segmentation, log.imu)[2] > HANGING:
+def _hanging(log: Log, segmentation: Segmentation, *, given: bool) -> list[Warn]:
+    """Say where the IMU's z axis points down: its track stands on its head, which a reader may not expect.
+
+    Under a stated mounting it is the vehicle that would lie on its side or its head.
+    """
+    up = up_at_stops(segmentation, log.imu)[2] if segmentation.stops else 1.0
+    if given and up < LYING:
+        off = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
+        message = f"with the stated mounting the vehicle rests {off:.0f} deg from upright"
+        hint = "mend [imu] mounting, or leave it out; or is the accelerometer reversed?"
+        return [Warn("mounting-contradicted", message, hint, fatal=True)]
+    if up > HANGING:
         return []
     return [
         Warn("imu-upside-down", "the IMU's z axis points down: it hangs upside down, or is a z-down (NED) sensor",
-             "[imu] mounting turns the track; a reversed accelerometer shows in the separation of the passes")
+             "[imu] mounting turns the track; a reversed accelerometer looks the same")
     ]  # fmt: skip

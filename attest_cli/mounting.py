@@ -20,6 +20,7 @@ UNSEEN_SLOPE = np.radians(3.0)  # slope of the ground where fewer than three sto
 LEAST_SLOPE = np.radians(0.2)
 SMOOTH_BLOCKS = 5  # blocks on either side whose mean is taken away
 SIGNIFICANT = 100.0  # drop of the weighted misfit that a lag must bring: ten sigma, for blocks are not independent
+LEAST_PERIODS = 1.5  # of the odometry: a lag of one sample is not told from how it is made
 NEAR_DEG = 3.0  # axes that agree to this, or to three sigma, are taken as equal
 UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
 MAD = 1.4826  # median absolute deviation to sigma
@@ -74,8 +75,9 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     block, owner = _blocks(t, segmentation)
     if not segmentation.stops or len(owner) < LEAST_BLOCKS:
         return None
-    a_n = rotation.rotate(q, imu.accel_b) - np.array([0.0, 0.0, gravity])
-    steps = 0.5 * (a_n[1:] + a_n[:-1]) * np.diff(imu.t)[:, None]
+    until = int(near[-1]) + 1
+    a_n = rotation.rotate(q[:until], imu.accel_b[:until]) - np.array([0.0, 0.0, gravity])
+    steps = 0.5 * (a_n[1:] + a_n[:-1]) * np.diff(imu.t[:until])[:, None]
     speed_n = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])[near]
     wanted = _high_pass(_change(_means(speed_n, block), owner), owner).reshape(-1)
     R, noise = rotation.matrix(q[near]), _noise(t, odometry.values[at, 0], block)
@@ -91,7 +93,8 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     near_best = min(range(-reach, reach + 1, coarse), key=lambda k: fit(k * period)[1])
     lag = period * min(range(near_best - coarse + 1, near_best + coarse), key=lambda k: fit(k * period)[1])
     best = fit(lag)
-    if (misfit - best[1]) / (best[1] / len(wanted)) > SIGNIFICANT and abs(lag) < MOST_LAG_S - COARSE_LAG_S:
+    told = LEAST_PERIODS * period < abs(lag) < MOST_LAG_S - COARSE_LAG_S
+    if told and (misfit - best[1]) / (best[1] / len(wanted)) > SIGNIFICANT:
         u, misfit, covariance = best
     else:
         lag = 0.0
@@ -125,7 +128,10 @@ def _enough(segmentation: Segmentation, end: float) -> float:
     """Return the time by which the log has moved long enough to tell, at most ``end``."""
     moved = np.cumsum([s.end - s.start for s in segmentation.motions])
     long = np.flatnonzero(moved > ENOUGH_S)
-    return min(end, segmentation.motions[int(long[0])].end) if len(long) else end
+    if not len(long):
+        return end
+    last = segmentation.motions[int(long[0])]
+    return min(end, last.end, last.start + ENOUGH_S)
 
 
 def _blocks(t: Array, segmentation: Segmentation) -> tuple[Ints, Ints]:

@@ -18,7 +18,7 @@ from . import __version__, assess, tables
 from .errors import AttestError
 from .estimate import Estimate, Progress, estimate, silent
 from .filters.choice import choose as choose_filter
-from .locate import Vehicle, locate
+from .locate import IDENTITY, Vehicle, locate
 from .nodes.noise import CALIBRATION, contradictions, find_noise
 from .nodes.observations import observe
 from .position import Position
@@ -26,7 +26,7 @@ from .prepare import choose, prepare
 from .prepare.groups import files_used, whole_logs
 from .readers import read as read_file
 from .readers.result import read_result
-from .records import Log, Recording, Result, Segmentation, Warn
+from .records import Imu, Log, Recording, Result, Segmentation, Warn
 from .report import Report, write_pages
 from .report.build import Run, build
 from .segment import find_segments
@@ -36,7 +36,7 @@ from .writers import write_track
 from .writers.files import atomic_write, check_output, write_csv_rows, write_table
 from .writers.folder import result_folder
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, KEPT_BYTES = -1, -3, 1 << 30  # malloc.h
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, KEPT_BYTES = -1, -3, 1 << 23  # malloc.h; what is larger is a column of a long log
 FRAMES = {"enu": "ENU world, FLU body", "ned": "NED world, FRD body"}
 EVALUATION, EVALUATION_PAGE = "evaluation.json", "09-evaluate.png"
 CALIBRATED = ("imu", "gyro", "accel", "temperature", "magnetometer")  # roles that a calibration reads
@@ -49,21 +49,24 @@ def keep_memory() -> None:
     with suppress(OSError, AttributeError):  # not glibc
         libc = ctypes.CDLL(None)
         libc.mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
-        libc.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+        libc.mallopt(M_TRIM_THRESHOLD, 2 * KEPT_BYTES)
 
 
 def give_back() -> None:
-    """Let Arrow's pool give back what tables were read into; it keeps freed columns, up to a quarter of a long log."""
+    """Let Arrow's pool and the C library give back what was read into; freed, it is up to a quarter of a long log."""
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:
         arrow.default_memory_pool().release_unused()
+    with suppress(OSError, AttributeError):  # not glibc
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def read(paths: Sequence[Path], settings: Settings) -> tuple[tuple[Recording, ...], Log]:
     """Read the files of one drive: as found, and in SI on one time base."""
     recordings = tuple(read_file(path, settings) for path in paths)
     give_back()
-    return recordings, prepare(recordings, settings)
+    log = prepare(recordings, settings, spent=True)
+    return tuple(emptied(recording, log) for recording in recordings), log
 
 
 def smooth(
@@ -73,27 +76,46 @@ def smooth(
     settings = effective.settings
     keep_memory()
     with result_folder(output, overwrite=overwrite, inputs=paths) as folder:
-        progress("reading", 0.0)
-        recordings, log = read(paths, settings)
-        recordings = tuple(_emptied(recording) for recording in recordings)
-        give_back()
-        progress("finding stops", 0.2)
-        segmentation = find_segments(log, settings)
-        effective = informed(effective, log)
-        settings = effective.settings
-        est = replace(estimate(log, segmentation, settings, progress), nodes=None)  # their steps are as long as the log
-        progress("position", 0.6)
-        place, vehicle, warnings = locate(log, segmentation, est, settings)
-        warnings += contradictions(log, segmentation, find_noise(log, segmentation, settings), settings)
-        log, est = _as_recorded(log, est)
-        run, track = _assemble(paths, recordings, log, effective, segmentation, est, place, vehicle, warnings)
-        progress("writing", 0.7)
-        return _write(folder, run, track, settings, progress)
+        report = _write(folder, *_worked_out(paths, effective, progress), settings, progress)
+        progress("drawing", 0.8)  # from the files: nothing at full rate is left
+        pages = write_pages(read_result(folder), folder, settings.output.theme)
+        progress("done", 1.0)
+        return _write_report(folder, {**report, "pages": pages})
 
 
-def _emptied(recording: Recording) -> Recording:
+def _worked_out(paths: Sequence[Path], effective: Effective, progress: Progress) -> tuple[Run, tables.Track]:
+    """Read, find the stops and estimate: all but writing."""
+    settings = effective.settings
+    progress("reading", 0.0)
+    recordings, log = read(paths, settings)
+    give_back()
+    progress("finding stops", 0.2)
+    return appraise(paths, recordings, log, find_segments(log, settings), effective, progress)
+
+
+def appraise(
+    paths: Sequence[Path], recordings: tuple[Recording, ...], log: Log, segmentation: Segmentation,
+    effective: Effective, progress: Progress = silent,
+) -> tuple[Run, tables.Track]:  # fmt: skip
+    """Estimate attitude and position of a segmented log, and bring together all that is told of them."""
+    effective = informed(effective, log)
+    settings = effective.settings
+    est = estimate(log, segmentation, settings, progress)
+    give_back()
+    progress("position", 0.6)
+    place, vehicle, warnings = locate(log, segmentation, est, settings)
+    warnings += contradictions(log, segmentation, find_noise(log, segmentation, settings), settings)
+    log, est = _as_recorded(log, est)
+    return _assemble(paths, recordings, log, effective, segmentation, est, place, vehicle, warnings)
+
+
+def emptied(recording: Recording, log: Log) -> Recording:
     """Return a recording without its values: what is told of its channels needs stamps and units only."""
-    return replace(recording, channels=tuple(replace(channel, values={}) for channel in recording.channels))
+    channels = (
+        replace(c, values={}, stamps_ns=log.stamps_ns if np.array_equal(c.stamps_ns, log.stamps_ns) else c.stamps_ns)
+        for c in recording.channels  # one array of equal stamps is enough
+    )
+    return replace(recording, channels=tuple(channels))
 
 
 def informed(effective: Effective, log: Log) -> Effective:
@@ -125,7 +147,9 @@ def _assemble(
     relative = est.forward.heading == "relative"
     rows = assess.segment_table(log, segmentation, t, passes, place, est.noise, threshold, relative)
     advice = assess.stop_advice(t, est.moving, passes, segmentation, est.noise, threshold)
-    turned = {name: p.turned(vehicle.q_bv, vehicle.sigma) for name, p in passes.items()}
+    as_it_is = np.array_equal(vehicle.q_bv, IDENTITY) and not vehicle.sigma.any()
+    turned = passes if as_it_is else {name: p.turned(vehicle.q_bv, vehicle.sigma) for name, p in passes.items()}
+    log = _without_signals(log)  # of the IMU nothing but its times is told
     told = (*log.warnings, *segmentation.warnings, *est.warnings, *warnings)
     run = Run(
         tuple(paths), recordings, log, effective, segmentation, est, turned,
@@ -137,8 +161,15 @@ def _assemble(
     return run, track
 
 
+def _without_signals(log: Log) -> Log:
+    """Return a log that does not hold the signals of its IMU."""
+    nothing = np.broadcast_to(np.nan, log.imu.gyro_b.shape)
+    return replace(log, imu=Imu(log.imu.t, nothing, nothing))
+
+
 def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, progress: Progress) -> dict[str, Any]:
-    """Write every file of the result; the report comes last."""
+    """Write every file of the result but the pages; return the report as built."""
+    progress("writing", 0.7)
     report = build(run)
     metadata = _metadata(run, report)
     for name in settings.output.formats:
@@ -155,10 +186,7 @@ def _write(folder: Path, run: Run, track: tables.Track, settings: Settings, prog
     )
     write_csv_rows(_padded(run.segments), folder / "segments.csv")
     _write_report(folder, report)
-    progress("drawing", 0.8)
-    pages = write_pages(read_result(folder), folder, settings.output.theme)
-    progress("done", 1.0)
-    return _write_report(folder, {**report, "pages": pages})
+    return report
 
 
 def _metadata(run: Run, report: Mapping[str, Any]) -> dict[str, str]:

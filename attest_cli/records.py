@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+LATEST_NS = 1 << 62
+"""No stamp lies beyond (the year 2116): the step between any two is to fit int64."""
+
 
 @dataclass(frozen=True, slots=True)
 class Warn:
@@ -32,6 +35,7 @@ class Warn:
     message: str
     hint: str = ""
     lost: bool = False  # data was lost (time coverage or a whole channel): exit code 3
+    fatal: bool = False  # sigma does not hold: the verdict is FAIL
 
 
 @dataclass(frozen=True, slots=True)

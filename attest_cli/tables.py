@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from .assess import Pass
 from .maths import rotation
-from .position import Position
+from .position import Position, row_blocks
 from .records import Array, Innovations, Log, Segmentation, Smoothed
 from .track import world_variance
 
 Columns = dict[str, NDArray[Any]]
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-BLOCK_ROWS = 1 << 16
 ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 
@@ -55,21 +54,23 @@ class Track:
     frame: str
 
     def __iter__(self) -> Iterator[Columns]:
-        """Give the columns of ``BLOCK_ROWS`` samples at a time, in the order of the schema."""
+        """Give the columns of some ten thousand samples at a time, in the order of the schema."""
         body, world = self.q_bv, IDENTITY
         if self.frame == "ned":
             body, world = rotation.multiply(body, rotation.from_matrix(FLU_TO_FRD)), rotation.from_matrix(ENU_TO_NED)
         nodes = self._node_columns(rotation.matrix(body), rotation.matrix(world))
         last_q, last_yaw = IDENTITY, 0.0
-        for lo in range(0, len(self.q), BLOCK_ROWS):
-            rows = slice(lo, lo + BLOCK_ROWS)
+        course = iter(()) if self.position is None else self.position.course()
+        for rows in row_blocks(len(self.q)):
+            lo = rows.start
             q = rotation.continuous(rotation.multiply(rotation.multiply(world, self.q[rows]), body))
             q *= 1.0 if lo == 0 or float(q[0] @ last_q) >= 0.0 else -1.0
             angles = rotation.roll_pitch_yaw(q)
             angles[:, 2] = np.unwrap(angles[:, 2])
             angles[:, 2] += 2 * np.pi * np.round((last_yaw - angles[0, 2]) / (2 * np.pi)) if lo else 0.0
             last_q, last_yaw = q[-1], float(angles[-1, 2])
-            yield self._columns(rows, q, angles, nodes, rotation.matrix(world))
+            place = (x @ rotation.matrix(world).T for x in next(course, np.full((2, len(q), 3), np.nan)))
+            yield self._columns(rows, q, angles, nodes, *place)
 
     def _node_columns(self, R_body: Array, R_world: Array) -> Columns:
         """Return what is interpolated, at the nodes: bias and variances, in the track's axes."""
@@ -89,13 +90,9 @@ class Track:
             out["sigma_heading_relative_deg"] = s.heading_relative * np.degrees(1.0) ** 2
         return out
 
-    def _columns(self, rows: slice, q: Array, angles: Array, nodes: Columns, R_world: Array) -> Columns:
+    def _columns(self, rows: slice, q: Array, angles: Array, nodes: Columns, p: Array, v: Array) -> Columns:
         t = self.log.imu.t[rows]
         at = {name: np.interp(t, self.smoothed.t, values) for name, values in nodes.items()}
-        blank = np.full((len(t), 3), np.nan)
-        p, v = (
-            (self.position.p[rows] @ R_world.T, self.position.v[rows] @ R_world.T) if self.position else (blank, blank)
-        )
         segment, moving = segment_of(t, self.segmentation)
         columns: Columns = {"timestamp_ns": self.log.stamps_ns[rows], "t_s": t}
         columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}
@@ -158,17 +155,14 @@ def pass_columns(
     if relative:
         for name in ("backward_yaw_deg", "backward_sigma_att_z_deg", "separation_z_deg", "sigma_separation_z_deg"):
             columns[name] = np.full(len(t), np.nan)
-    return columns | _position_at_nodes(log, t, position)
+    return columns | _position_at_nodes(t, position)
 
 
-def _position_at_nodes(log: Log, t: Array, position: Position | None) -> Columns:
+def _position_at_nodes(t: Array, position: Position | None) -> Columns:
     nothing = np.full((len(t), 3), np.nan)
     p, v, P = nothing, nothing, np.full((len(t), 3, 3), np.nan)
     if position is not None:
-        p, v = (
-            np.stack([np.interp(t, log.imu.t, x[:, i]) for i in range(3)], axis=1) for x in (position.p, position.v)
-        )
-        P = position.P
+        p, v, P = position.p, position.v, position.P
     columns = vector("position_{}_m", p) | vector("sigma_position_{}_m", np.sqrt(np.einsum("kii->ki", P)))
     return columns | {"position_cov_xy_m2": P[:, 0, 1].copy()} | vector("velocity_{}_m_s", v)
 

@@ -7,11 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from .maths import rotation
-from .maths.propagation import run_steps
-from .nodes import Nodes
+from .maths.propagation import Samples, bridged
 from .records import Array, Smoothed
 
-BLOCK_STEPS = 1 << 17  # samples handled together
+BLOCK_ROWS = 1 << 17  # samples handled together
 
 
 def world_variance(q: Array, P: Array) -> Array:
@@ -20,39 +19,39 @@ def world_variance(q: Array, P: Array) -> Array:
     return np.asarray(R @ P[:, :3, :3] @ R.swapaxes(1, 2))
 
 
-def full_rate(nodes: Nodes, smoothed: Smoothed, t: Array) -> Array:
+def full_rate(samples: Samples, smoothed: Smoothed) -> Array:
     """Return the attitude (n, 4) at the IMU samples: every interval propagated from its smoothed node with the smoothed
     bias, the defect at its far end spread evenly.
 
     Parameters
     ----------
-    t : (n,) times of the IMU samples, s
+    samples : the gyro between the nodes of ``smoothed``
 
     Notes
     -----
     The defect is what the smoother gave to gyro noise; a bridge of constant rate is its most likely course.
     """
-    q = np.empty((len(t), 4))
-    q[0] = smoothed.q[0]
+    q = np.empty((len(samples.t), 4))
+    q[-1] = smoothed.q[-1]
     bias = 0.5 * (smoothed.bias[1:] + smoothed.bias[:-1])
-    bias[nodes.frozen | nodes.gap] = 0.0  # steps of held intervals carry no rate
-    first = nodes.steps.first
-    cuts = [*np.unique(np.searchsorted(first, np.arange(0, first[-1], BLOCK_STEPS))).tolist(), len(first) - 1]
+    bias[samples.held] = 0.0  # steps of held intervals carry no rate
+    first = samples.first
+    cuts = [*np.unique(np.searchsorted(first, np.arange(0, first[-1], BLOCK_ROWS))).tolist(), len(first) - 1]
     for lo, hi in pairwise(cuts):
-        rows = slice(*np.searchsorted(nodes.sample_step, [first[lo], first[hi]]).tolist())
-        q[1:][rows] = _bridged(nodes, smoothed, bias, t[1:][rows], rows, lo, hi)
-    q *= rotation.signs(q)[:, None]  # in place: a long log has hundreds of megabytes of it
+        _bridge(q[first[lo] : first[hi]], samples, smoothed, bias, lo, hi)
+    for a in range(0, len(q), BLOCK_ROWS):
+        part = q[max(a - 1, 0) : a + BLOCK_ROWS]  # with the row before, whose sign is settled
+        sign = rotation.signs(part)
+        part[1:] *= (sign if a == 0 else sign * sign[0])[1:, None]
+        part[0] *= sign[0] if a == 0 else 1.0
     return q
 
 
-def _bridged(nodes: Nodes, smoothed: Smoothed, bias: Array, t: Array, rows: slice, lo: int, hi: int) -> Array:
-    """Return the attitude at the samples ``rows`` (times ``t``) in the intervals ``lo .. hi``."""
-    steps = nodes.steps.part(lo, hi)
-    run = run_steps(steps, smoothed.q[lo:hi], bias[lo:hi])
-    ends = run[steps.first[1:] - 1]
-    defect_b = rotation.log_quaternion(rotation.multiply(rotation.conjugate(ends), smoothed.q[lo + 1 : hi + 1]))
-    defect_n = rotation.rotate(ends, defect_b)
-    at = nodes.sample_step[rows] - nodes.steps.first[lo]
-    owner = np.repeat(np.arange(hi - lo), steps.count)[at]
-    share = np.clip((t - nodes.t[lo + owner]) / np.diff(nodes.t)[lo + owner], 0.0, 1.0)
-    return rotation.normalise(rotation.multiply(rotation.exp_quaternion(defect_n[owner] * share[:, None]), run[at]))
+def _bridge(out: Array, samples: Samples, smoothed: Smoothed, bias: Array, lo: int, hi: int) -> None:
+    """Fill in the attitude at the samples of the intervals ``lo .. hi``."""
+    first = samples.first[lo : hi + 1] - samples.first[lo]
+    q = smoothed.q[lo : hi + 1]
+    for rows, run in bridged(samples, np.arange(lo, hi), q[:-1], q[1:], bias[lo:hi]):
+        at = first[rows][:, None] + np.arange(len(run))
+        inside = at < first[rows + 1][:, None]
+        out[at[inside]] = run.swapaxes(0, 1)[inside]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..settings import load_settings
-from .console import OK, Console
+from .console import LOST, OK, Console
 
 if TYPE_CHECKING:
     from ..settings.calibration import CalibrationFile, GyroAxis, Noise
@@ -54,7 +54,7 @@ def run(
     for line in (*notes(file), *(notes(file, noise=True) if console.verbose else ())):
         console.say((f"  {line}", "mute"))
     console.say(("→ ", "mute"), f"{folder}/", ("  calibration.toml, imu.yaml, 08-calibrate-bias.png", "mute"))
-    return OK
+    return LOST if any(warning.lost for warning in found["warnings"]) else OK
 
 
 def notes(file: CalibrationFile, *, noise: bool = False) -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import AttestError
 from ..settings import Settings, load_settings
-from .console import OK, Console
+from .console import LOST, OK, Console
 
 if TYPE_CHECKING:
     from ..readers.mcap_glance import Glance
@@ -55,7 +55,7 @@ def run(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any],
         console.warn(warning.message, warning.hint)
     if refusal is not None:
         raise refusal
-    return OK
+    return LOST if any(warning.lost for warning in warnings) else OK
 
 
 def _glance(log: Path, settings: Settings) -> Glance | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..settings import load_settings
-from .console import OK, Console
+from .console import LOST, OK, Console
 
 
 def run(
@@ -47,4 +47,4 @@ def run(
     console.say((f"{counted(stops, 'stop')}, {counted(len(rows) - stops, 'motion').lower()}", "strong"))
     if picture.is_file():
         console.say(("→ ", "mute"), str(picture))
-    return OK
+    return LOST if any(warning["lost"] for warning in found["warnings"]) else OK

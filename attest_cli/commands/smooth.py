@@ -76,7 +76,7 @@ def _tell(report: Mapping[str, Any], folder: Path, console: Console) -> None:
     for what, number, note in rows:
         console.say((f"  {what:<{label}}  ", "mute"), f"{number:<{value}}", (f"  {note}" if note else "", "mute"))
     for warning in report["warnings"]:
-        console.warn(warning["message"], warning["hint"], "FAIL" if warning["lost"] else "WARN")
+        console.warn(warning["message"], warning["hint"], "FAIL" if warning["lost"] or warning.get("fatal") else "WARN")
     told = {warning["code"] for warning in report["warnings"]}
     for check in report["checks"]:
         if check["status"] != "PASS" and check["name"] not in told:

@@ -18,11 +18,12 @@ from ..nodes import Nodes, build_nodes
 from ..nodes.observations import observe
 from ..records import Array, FilterRun, Innovations, Warn
 from ..sensors import Measurement
-from . import Drive, Forward
+from . import Drive, Forward, closure
 from .alignment import Start, align
 
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
+ABSURD = 20.0  # times its noise: no gyro drifts so in motion, it contradicts the accelerometer
 FEW_MOTIONS = 4
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
@@ -41,7 +42,8 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
         noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
         message = f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit"
         hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
-        warnings.append(Warn("gyro-noise-raised", message, hint))
+        warnings.append(Warn("gyro-noise-raised", message, hint, fatal=raised > ABSURD**2))
+    warnings += closure.doubts(log, segmentation, raised=raised > 1.0)
     return Forward(replace(found, heading=_heading(found)), noise, nodes, start, tuple(warnings))
 
 

@@ -11,7 +11,7 @@ linear and Gaussian, so RTS and Fraser-Potter agree to rounding also after itera
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ Linearise = Callable[[Array], tuple[Array, Array]]  # d -> residual (m,), Jacobi
 CONVERGED = 1e-16
 LONG_STEP = 0.3  # rad: shorter steps of an update are taken as they are
 MOST_HALVINGS = 6
+BLOCK = 4096  # nodes handled together
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +45,15 @@ class Chain:
     vec: Array
     rotations: int
 
-    def reset_jacobians(self) -> tuple[Array, Array]:
-        """Return ``J`` and its inverse (n, s, s), ``d = J (e - dx)`` to first order."""
-        n, s = self.dx.shape
+    def reset_jacobians(self, at: slice | NDArray[np.int64] = slice(None)) -> tuple[Array, Array]:
+        """Return ``J`` and its inverse (k, s, s), ``d = J (e - dx)`` to first order, of some nodes."""
+        dx = self.dx[at]
+        n, s = dx.shape
         J, J_inv = np.tile(np.eye(s), (n, 1, 1)), np.tile(np.eye(s), (n, 1, 1))
         if self.rotations:
             r = slice(0, self.rotations)
-            J[:, r, r] = rotation.right_jacobian(self.dx[:, r])
-            J_inv[:, r, r] = rotation.inverse_right_jacobian(self.dx[:, r])
+            J[:, r, r] = rotation.right_jacobian(dx[:, r])
+            J_inv[:, r, r] = rotation.inverse_right_jacobian(dx[:, r])
         return J, J_inv
 
 
@@ -179,14 +181,14 @@ def information(chain: Chain) -> tuple[Array, Array]:
     """
     n, s = chain.dx.shape
     Y, y = np.zeros((n, s, s)), np.zeros((n, s))
-    J, _ = chain.reset_jacobians()
     ends = np.unique(np.concatenate([[0], np.flatnonzero(np.any(chain.info != 0.0, axis=(1, 2)))]))
     all_Phi, all_Q = _composed(chain, ends)
+    J, _ = chain.reset_jacobians(ends)
     eye, one = np.eye(s), np.empty((s, s + 1))
-    for first, last in zip(ends[-2::-1].tolist(), ends[:0:-1].tolist(), strict=True):
+    for first, last, J_last in zip(ends[-2::-1].tolist(), ends[:0:-1].tolist(), J[:0:-1], strict=True):
         Y_last, y_last = Y[last] + chain.info[last], y[last] + chain.vec[last]
         if chain.rotations:
-            Y_last, y_last = J[last].T @ Y_last @ J[last], J[last].T @ y_last
+            Y_last, y_last = J_last.T @ Y_last @ J_last, J_last.T @ y_last
             Y_last = 0.5 * (Y_last + Y_last.T)
         y_last = y_last + Y_last @ chain.dx[last]
         if last - first == 1:  # a filter that measures at every sample: no batch, fewer calls
@@ -227,16 +229,23 @@ def fuse(chain: Chain, Y: Array, y: Array) -> Errors:
 
     With ``P = L L'``: ``P_s = L (I + L' Y L)^-1 L'``, symmetric and positive whatever the conditioning.
     """
-    L = np.linalg.cholesky(chain.P)
-    L_t = L.swapaxes(1, 2)
-    P = symmetric(L @ np.linalg.solve(np.eye(L.shape[1]) + symmetric(L_t @ Y @ L), L_t))
+    P, eye = np.empty_like(chain.P), np.eye(chain.P.shape[1])
+    for rows in blocks(len(P)):
+        L = np.linalg.cholesky(chain.P[rows])
+        L_t = L.swapaxes(1, 2)
+        P[rows] = symmetric(L @ np.linalg.solve(eye + symmetric(L_t @ Y[rows] @ L), L_t))
     return Errors(np.einsum("kij,kj->ki", P, y), P, cross(chain, P))
 
 
-def gains(chain: Chain) -> Array:
-    """Return the smoother gains ``C`` (n - 1, s, s) = ``P Phi' P_pred^-1``."""
-    PhiP = chain.Phi @ chain.P[:-1]
-    return np.asarray(np.linalg.solve(chain.P_pred[1:], PhiP).swapaxes(1, 2))
+def blocks(n: int) -> Iterator[slice]:
+    """Yield the nodes ``0 .. n``, some thousand at a time: what is made on the way is as large as they are."""
+    return (slice(lo, min(lo + BLOCK, n)) for lo in range(0, n, BLOCK))
+
+
+def gains(chain: Chain, rows: slice = slice(None)) -> Array:
+    """Return the smoother gains ``C`` (k, s, s) = ``P Phi' P_pred^-1`` of some intervals."""
+    PhiP = chain.Phi[rows] @ chain.P[:-1][rows]
+    return np.asarray(np.linalg.solve(chain.P_pred[1:][rows], PhiP).swapaxes(1, 2))
 
 
 def cross(chain: Chain, P: Array) -> Array:
@@ -244,5 +253,8 @@ def cross(chain: Chain, P: Array) -> Array:
 
     ``P`` (n, s, s): smoothed covariances, or the filter's own for the filter's own errors.
     """
-    _, J_inv = chain.reset_jacobians()
-    return np.asarray(gains(chain) @ J_inv[1:] @ P[1:])
+    out = np.empty_like(P[1:])
+    for rows in blocks(len(out)):
+        later = slice(rows.start + 1, rows.stop + 1)
+        out[rows] = gains(chain, rows) @ chain.reset_jacobians(later)[1] @ P[later]
+    return out

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..maths import rotation
-from ..maths.propagation import Increments, Steps, preintegrate
+from ..maths.propagation import Increments, Samples, Steps, preintegrate
 from ..records import Array, Bools, Imu, Ints, Log, Segmentation
 from ..sensors import Measurement
 from ..sensors.zero_rate import ZeroRate
@@ -25,9 +25,10 @@ FROZEN_DENSITY = 1e-7  # rad/sqrt(s): keeps the covariance of a frozen attitude 
 SAME_TIME_S = 1e-6
 MERGED_S = 1e-4  # nodes nearer than this are one: an interval without noise has no inverse
 RATE_WINDOW_S = 1.0  # the rate that a scale error acts on is its mean over this
-LONG_FACTOR = 5.0  # nodes of long motions in long logs may be so many times further apart
+LONG_FACTOR = 10.0  # nodes of long motions in long logs may be so many times further apart
 PAGE_NODES = 7200  # but a log has at least so many in equal steps: more than a page has columns
 NEARNESS = 20.0  # and the step is at most the time to the nearest edge or measurement over this
+BLOCK_ROWS = 1 << 16  # samples handled together
 GAP_MARGIN = 2.0  # a hole is as lively as the drive, twice over
 
 __all__ = ["Nodes", "build_nodes"]
@@ -38,27 +39,30 @@ class Nodes:
     """Epochs of the estimate.
 
     ``t`` (n,) s, ``moving`` (n,) False in the used part of a stop; per interval k -> k + 1: ``frozen``, ``gap`` (n -
-    1,), ``increments``, ``steps`` (IMU steps on the merged grid of samples and nodes); ``sample_step`` (samples - 1,)
-    the step that ends at each IMU sample but the first; ``measurements[i]`` those of node ``measured[i]``, ascending;
-    ``noise``.
+    1,), ``increments``, the gyro ``samples`` they are made of; ``measurements[i]`` those of node ``measured[i]``,
+    ascending; ``noise``.
     """
 
     t: Array
     moving: Bools
     frozen: Bools
     gap: Bools
-    steps: Steps
+    samples: Samples
     increments: Increments
-    sample_step: Ints
     measured: Ints
     measurements: tuple[tuple[Measurement, ...], ...]
     density: Array
     noise: Noise
 
+    @property
+    def steps(self) -> Steps:
+        """The IMU on the merged grid of samples and nodes: a copy at full rate."""
+        return _steps(self.samples)
+
     def rebuild(self, bias: Array) -> Nodes:
         """Return the nodes preintegrated again at ``bias`` (n, 3), rad/s: exact where the estimate moved far."""
         increments = _increments(
-            self.steps, 0.5 * (bias[1:] + bias[:-1]), self.frozen, self.gap, self.density, self.noise
+            self.samples, 0.5 * (bias[1:] + bias[:-1]), self.frozen, self.gap, self.density, self.noise
         )
         return replace(self, increments=increments)
 
@@ -99,16 +103,17 @@ def build_nodes(
     t = _grid(imu.t, stops, frozen_stops, gaps, must, spacing, coarsest)
     middle = 0.5 * (t[1:] + t[:-1])
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
-    steps, sample_step = _steps(imu, t, frozen | gap, settings.imu.gyro_samples)
+    linear = settings.imu.gyro_samples == "point"
+    samples = Samples(imu.t, imu.gyro_b, t, np.searchsorted(imu.t, t), frozen | gap, linear)
     bias = reference_bias(log, segmentation, middle)
     density = motion_density(noise, mean_rate(imu, middle) - bias) + clipped_density(imu.t, imu.gyro_clipped, t)
-    increments = _increments(steps, bias, frozen, gap, density, noise)
+    increments = _increments(samples, bias, frozen, gap, density, noise)
     by_node = _assign(imu, observations, t, segmentation, settings.smoothing.zero_rate)
     for m in _zero_rates(imu, t, frozen, noise):
         by_node.setdefault(m.node, []).append(m)
     measured = np.array(sorted(by_node), dtype=np.int64)
     groups = tuple(tuple(by_node[k]) for k in measured.tolist())
-    return Nodes(t, ~_inside(t, stops), frozen, gap, steps, increments, sample_step, measured, groups, density, noise)
+    return Nodes(t, ~_inside(t, stops), frozen, gap, samples, increments, measured, groups, density, noise)
 
 
 def _assign(
@@ -180,51 +185,60 @@ def _inside(t: Array, intervals: list[tuple[float, float]]) -> Bools:
     return np.asarray((i >= 0) & (t <= end[np.maximum(i, 0)]))
 
 
-def _steps(imu: Imu, t: Array, still: Bools, rule: str) -> tuple[Steps, Ints]:
-    """Merge samples and nodes into one grid; rates are linear between samples (``point``) or held over them
-    (``interval``).
-    """
-    n, at = len(imu.t), np.searchsorted(imu.t, t)
-    new = imu.t[np.minimum(at, n - 1)] != t
-    grid = np.insert(imu.t, at[new], t[new])
-    sample = np.arange(n) + np.cumsum(np.bincount(at[new], minlength=n + 1))[:n]
+def _steps(samples: Samples) -> Steps:
+    """Merge samples and nodes into one grid."""
+    t, at = samples.nodes, samples.first
+    new = samples.t[at] != t
+    grid = np.insert(samples.t, at[new], t[new])
     first = np.searchsorted(grid, t)
-    if rule == "point":
-        rate = np.empty((len(grid), 3))
-        rate[sample] = imu.gyro_b
-        rate[first[new]] = np.stack([np.interp(t[new], imu.t, imu.gyro_b[:, i]) for i in range(3)], axis=1)
+    if samples.linear:
+        rate = np.stack([np.interp(grid, samples.t, samples.rate[:, i]) for i in range(3)], axis=1)
         rate0, rate1 = rate[:-1].copy(), rate[1:]
     else:
-        rate0 = imu.gyro_b[np.searchsorted(imu.t, grid[1:], side="left")].copy()
+        rate0 = samples.rate[np.searchsorted(samples.t, grid[1:])]
         rate1 = rate0.copy()
-    held = np.repeat(still, np.diff(first))
+    held = np.repeat(samples.held, np.diff(first))
     rate0[held], rate1[held] = 0.0, 0.0
-    return Steps(np.diff(grid), rate0, rate1, first), sample[1:] - 1
+    return Steps(np.diff(grid), rate0, rate1, first)
 
 
-def _increments(steps: Steps, bias: Array, frozen: Bools, gap: Bools, density: Array, noise: Noise) -> Increments:
+def _increments(samples: Samples, bias: Array, frozen: Bools, gap: Bools, density: Array, noise: Noise) -> Increments:
     """Preintegrate; freeze the attitude at stops and let it go in gaps."""
     held, eye = frozen | gap, np.eye(3)
-    inc = preintegrate(steps, bias, density, noise.n_w, held)
-    inc.dq[held] = [1.0, 0.0, 0.0, 0.0]
+    inc = preintegrate(samples, bias, density, noise.n_w, held)
     inc.psi[held] = 0.0
     inc.Phi[held] = np.eye(6)
     inc.Q[held] = 0.0
     inc.Q[held, 3:, 3:] = noise.n_w * inc.span[held, None, None] * eye
     inc.Q[frozen, :3, :3] = FROZEN_DENSITY**2 * inc.span[frozen, None, None] * eye
     if gap.any():
-        lively = np.sqrt(np.mean(np.sum((0.5 * (steps.rate0 + steps.rate1)) ** 2, axis=1)) / 3)
+        squares = np.add.reduceat(np.einsum("ki,ki->k", samples.rate, samples.rate), samples.first[:-1])
+        lively = np.sqrt(np.sum(squares[~held]) / len(samples.t) / 3)
         turned = np.minimum(GAP_MARGIN * max(float(lively), 0.05) * inc.span[gap], np.pi)
         inc.Q[gap, :3, :3] = (turned**2)[:, None, None] * eye
     return inc
 
 
 def mean_rate(imu: Imu, at: Array) -> Array:
-    """Return the gyro's mean (m, 3) over a second about each time."""
-    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(imu.gyro_b[:-1] * np.diff(imu.t)[:, None], axis=0)])
+    """Return the gyro's mean (m, 3) over a second about each of the ascending times."""
     ends = np.clip(np.stack([at - 0.5 * RATE_WINDOW_S, at + 0.5 * RATE_WINDOW_S]), imu.t[0], imu.t[-1])
-    first, last = (np.stack([np.interp(e, imu.t, turned[:, i]) for i in range(3)], axis=1) for e in ends)
+    first, last = (_turned(imu, e) for e in ends)
     return np.asarray((last - first) / np.maximum(ends[1] - ends[0], 1e-9)[:, None])
+
+
+def _turned(imu: Imu, at: Array) -> Array:
+    """Return the gyro's integral (m, 3) from the first sample to ascending times, each sample held over its step."""
+    row = np.clip(np.searchsorted(imu.t, at, side="right") - 1, 0, len(imu.t) - 1)
+    out = (at - imu.t[row])[:, None] * imu.gyro_b[row]
+    total, done = np.zeros(3), 0
+    for lo in range(0, len(imu.t), BLOCK_ROWS):
+        t = imu.t[lo : lo + BLOCK_ROWS + 1]
+        until = int(np.searchsorted(row, lo + len(t) - 1)) if lo + len(t) < len(imu.t) else len(at)
+        summed = np.zeros((len(t), 3))
+        np.cumsum(imu.gyro_b[lo : lo + len(t) - 1] * np.diff(t)[:, None], axis=0, out=summed[1:])
+        out[done:until] += total + summed[row[done:until] - lo]
+        total, done = total + summed[-1], until
+    return out
 
 
 def _turns(imu: Imu, times: Array, t_node: float, segmentation: Segmentation) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ ASSUMED_SCALE = 3e-3  # scale and misalignment of a factory-calibrated MEMS gyro
 SCALE_CORRELATION_S = 2.0  # a rate lasts about this long: its scale error counts as noise of this correlation time
 ASSUMED_GYRO_WALK = 2e-5  # rad/s^2/sqrt(Hz): a consumer MEMS gyro
 WALK_WEIGHT = 3.0  # the assumption counts like three pairs of stops
-CALIBRATION = "calibration"  # a source
+CALIBRATION, REFUTED = "calibration", "log's stops, which refute what is stated"  # sources
 FAR_OFF, SURE, NOISIER = 5.0, 1e-6, 1.5  # sigma, chance and factor from which a log contradicts its calibration
 BLOCK_S = 0.5  # block whose mean shows the noise below the sensor's own low-pass
 
@@ -74,14 +74,14 @@ def stop_ranges(log: Log, segmentation: Segmentation) -> list[tuple[int, int]]:
     return [(int(np.searchsorted(t, s.used_start)), int(np.searchsorted(t, s.used_end))) for s in segmentation.stops]
 
 
-def density(blocks: list[tuple[Array, float]]) -> float | None:
+def density(blocks: list[tuple[Array, float]], taus: Sequence[float] = (0.0, BLOCK_S)) -> float | None:
     r"""Return the white-noise density of samples at rest, or None where there are too few.
 
     Largest of :math:`\sigma_A(\tau)\sqrt\tau` (Allan deviation) at one sample and at half a second: a sensor with an
     internal low-pass looks quieter at one sample than it is.
     """
     found = []
-    for tau in (0.0, BLOCK_S):
+    for tau in taus:
         total, weight = 0.0, 0
         for values, dt in blocks:
             per = max(1, round(tau / dt))
@@ -123,7 +123,9 @@ def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Nois
         return value
 
     at_rest = [(log.imu.gyro_b[lo:hi], d) for (lo, hi), d in zip(ranges, dt, strict=True)]
-    gyro = pick("gyro_noise_density", wanted.gyro_noise_density, density(at_rest), ASSUMED_GYRO_DENSITY)
+    refuted = refuting(wanted.gyro_noise_density, at_rest)
+    gyro = pick("gyro_noise_density", refuted or wanted.gyro_noise_density, density(at_rest), ASSUMED_GYRO_DENSITY)
+    sources["gyro_noise_density"] = REFUTED if refuted else sources["gyro_noise_density"]
     pushed = [(log.imu.accel_b[lo:hi], d) for (lo, hi), d in zip(ranges, dt, strict=True)]
     accel = pick("accel_noise_density", wanted.accel_noise_density, density(pushed), ASSUMED_ACCEL_DENSITY)
     walk = None
@@ -141,9 +143,22 @@ def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Nois
     )
 
 
+def refuting(stated: float | None, at_rest: list[tuple[Array, float]]) -> float | None:
+    """Return the density that the stops show where it is beyond what is stated; over half a second vibration is gone,
+    so that a running engine refutes nothing.
+    """
+    found = density(at_rest, (BLOCK_S,)) if stated is not None else None
+    return found if found is not None and stated is not None and found > NOISIER * stated else None
+
+
 def contradictions(log: Log, segmentation: Segmentation, noise: Noise, settings: Settings) -> list[Warn]:
-    """Return what at the log's stops contradicts its calibration, the first alone: bias, noise, walk of the bias."""
-    known = log.calibrated
+    """Return what at the log's stops contradicts the noise that is stated, or its calibration, the first alone: bias,
+    noise, walk of the bias.
+    """
+    known, stated = log.calibrated, settings.imu.gyro_noise_density
+    if noise.sources["gyro_noise_density"] == REFUTED and stated is not None:
+        fact = f"the gyro is {noise.gyro_density / stated:.2g} times as noisy at the stops as stated"
+        return [Warn("gyro-noise-refuted", f"{fact}: what the stops show is used", "mend [imu] gyro_noise_density")]
     ranges = [(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
     if known is None or not ranges:
         return []

@@ -13,6 +13,7 @@ from ..sensors import Direction, Sensor
 from ..sensors.heading import BodyHeading, FieldHeading
 from ..sensors.orientation import Orientation
 from ..settings import Settings
+from .field import field_doubts
 from .noise import Noise, reference_bias, stop_ranges
 
 FIELD_CORRELATION_S = 5.0  # a disturbed magnetic field stays disturbed this long in motion (design note, question 1)
@@ -38,10 +39,11 @@ class Observation:
 
 def at_stop(t: Array, segmentation: Segmentation) -> Bools:
     """Return which times lie in the used part of a stop."""
-    inside = np.zeros(len(t), dtype=np.bool_)
-    for s in segmentation.stops:
-        inside |= (t >= s.used_start) & (t <= s.used_end)
-    return inside
+    if not segmentation.stops:
+        return np.zeros(len(t), dtype=np.bool_)
+    start, end = np.array([(s.used_start, s.used_end) for s in segmentation.stops]).T
+    before = np.searchsorted(start, t, side="right") - 1
+    return np.asarray((before >= 0) & (t <= end[before]))
 
 
 def observe(
@@ -66,7 +68,9 @@ def observe(
                      "set [world] latitude_deg and longitude_deg, or magnetic_field_ut")
             )  # fmt: skip
         else:
-            found += _magnetometer(log.fixes["magnetometer"], segmentation, world, settings, policy)
+            iron, told = field_doubts(log.fixes["magnetometer"], log, segmentation, world)
+            warnings += told
+            found += _magnetometer(log.fixes["magnetometer"], segmentation, world, settings, policy, iron)
     return sorted(found, key=lambda o: o.t), warnings
 
 
@@ -251,19 +255,19 @@ def _orientation(
 
 
 def _magnetometer(
-    fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str
+    fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, iron: float
 ) -> list[Observation]:
-    """One heading per stop, with the place's own error; in motion (``always``) one a second, inflated for its
-    correlation.
+    """One heading per stop, with the error of the place and of ``iron``, rad; in motion (``always``) one a second,
+    inflated for its correlation.
     """
     azimuth = 0.5 * np.pi if world.field_n is None else float(np.arctan2(world.field_n[1], world.field_n[0]))
-    sensor, place = FieldHeading(azimuth), np.radians(settings.magnetometer.sigma_deg) ** 2
+    sensor, place = FieldHeading(azimuth), np.radians(settings.magnetometer.sigma_deg) ** 2 + iron**2
     still = at_stop(fixes.t, segmentation)
     out = []
     for s in segmentation.stops:
-        g = np.flatnonzero((fixes.t >= s.used_start) & (fixes.t <= s.used_end))
-        if len(g):
-            mean, when = fixes.values[g].mean(axis=0)[None], s.used_start
+        lo, hi = np.searchsorted(fixes.t, s.used_start), np.searchsorted(fixes.t, s.used_end, side="right")
+        if hi > lo:
+            mean, when = fixes.values[lo:hi].mean(axis=0)[None], s.used_start
             out.append(Observation("magnetometer", sensor, when, np.array([when]), mean, np.array([[place]]), True))
     if policy == "always" or (policy == "auto" and not segmentation.stops):
         moving = np.flatnonzero(~still)

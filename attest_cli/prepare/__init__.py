@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from ..records import Fixes, Log, Recording, Warn
 from ..settings import Settings
+from . import course, quaternions
 from .calibration import calibrated
 from .clock import seconds
 from .fixes import Span, fixes_of
@@ -14,10 +17,11 @@ from .roles import Cast, choose
 
 __all__ = ["choose", "prepare"]
 
+TURNING_RAD_S, FEW = 0.01, 10  # rms rate of an IMU that turns; measurements that show whether a sensor changes
 INERTIAL = frozenset({"imu", "gyro", "accel"})
 
 
-def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
+def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool = False) -> Log:
     """Make one log in SI units and body axes of the files of one drive.
 
     Parameters
@@ -27,6 +31,8 @@ def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
     settings : Settings
         ``map`` and the ``channel`` of each role, ``imu.mounting`` (applied where it is a quaternion; the magnetometer
         sits in the same box), ``imu.calibration``, ``sun.components``, ``time``, ``world.gravity_m_s2``.
+    spent : bool
+        Nobody reads the recordings afterwards: the values of the IMU are let go once they are in SI.
 
     Returns
     -------
@@ -41,10 +47,13 @@ def prepare(recordings: Sequence[Recording], settings: Settings) -> Log:
     files = ", ".join(recording.source.name for recording in recordings)
     cast = choose(recordings, settings)
     parts = [cast.channels["imu"]] if "imu" in cast.channels else [cast.channels["gyro"], cast.channels["accel"]]
-    rows = imu_rows(files, parts, settings)
+    rows = imu_rows(files, parts, settings, spent=spent)
     span = Span(rows.t0_ns, int(rows.stamps_ns[0]), int(rows.stamps_ns[-1]), settings.time.max_gap_s)
     warnings = [*(w for recording in recordings for w in recording.warnings), *cast.warnings, *rows.warnings]
     fixes = _fixes(cast, span, settings, warnings)
+    fixes = _changing(fixes, rows, warnings)
+    warnings += course.doubts(fixes, rows.imu)
+    warnings += quaternions.doubts(fixes["orientation"], rows.imu) if "orientation" in fixes else []
     log = Log(
         sources=tuple(recording.source for recording in recordings),
         t0_ns=rows.t0_ns,
@@ -66,6 +75,20 @@ def _fixes(cast: Cast, span: Span, settings: Settings, warnings: list[Warn]) -> 
         if role not in INERTIAL
     }
     return {role: fixes for role, fixes in found.items() if fixes is not None}
+
+
+def _changing(fixes: Mapping[str, Fixes], rows: ImuRows, warnings: list[Warn]) -> dict[str, Fixes]:
+    """Leave out a magnetometer or compass that says the same all along while the IMU turns."""
+    off = rows.imu.gyro_b - np.median(rows.imu.gyro_b, axis=0)
+    turns = float(np.mean(np.einsum("ij,ij->i", off, off))) > TURNING_RAD_S**2
+    dead = [
+        role for role in ("magnetometer", "compass")
+        if role in fixes and turns and len(fixes[role].t) >= FEW and not np.ptp(fixes[role].values, axis=0).any()
+    ]  # fmt: skip
+    for role in dead:
+        message = f"all {len(fixes[role].t)} measurements of {fixes[role].channel} ({role}) are equal: not used"
+        warnings.append(Warn("stale-repeats", message, "is the sensor connected?"))
+    return {role: found for role, found in fixes.items() if role not in dead}
 
 
 def _coverage(rows: ImuRows) -> Mapping[str, float]:

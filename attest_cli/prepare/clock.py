@@ -15,6 +15,8 @@ STEP_BACK_NS = 500_000_000
 LONGEST_BATCH_NS = 500_000_000
 SHARED = 1.5
 """Stamps further apart than the batch, shared by more rows than this on average, have no resolution."""
+MANY_SHARED = 20.0
+"""The same before repeated rows are dropped, each of which is held against all others of its stamp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +56,15 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
         rows = np.argsort(stamps_ns, kind="stable").astype(np.int64)
         late = f"{np.count_nonzero(back)} rows out of order, by {back[worst] * 1e-9:.3f} s at most"
         warnings.append(Warn("rows-out-of-order", f"{name}: {late}: sorted"))
-    _refuse_coarse(name, stamps_ns[rows])
+    _refuse_coarse(name, stamps_ns[rows], MANY_SHARED)
     rows = rows[_not_repeated(stamps_ns, values, rows)]
+    as_found = rows.size == stamps_ns.size and not np.any(back)
+    found = stamps_ns if as_found else stamps_ns[rows]  # no second copy of the stamps of a long log
+    _refuse_coarse(name, found)
     if rows.size < stamps_ns.size:
         message = f"{name}: {stamps_ns.size - rows.size} rows repeat stamp and values of another: dropped"
         warnings.append(Warn("duplicate-rows", message))
-    ordered, spread = _spread(stamps_ns[rows]) if strict else (stamps_ns[rows], 0)
+    ordered, spread = _spread(found) if strict else (found, 0)
     if spread:
         message = f"{name}: {spread} rows share their stamp with others: spread over the interval of their batch"
         warnings.append(Warn("batched-stamps", message, "let the driver stamp every sample"))
@@ -88,11 +93,11 @@ def _refuse_step(name: str, latest: Ints, back: Ints, t0_ns: int) -> None:
     raise AttestError(message, f"cut the log there, or take the part before it with --end {when:.3f}")
 
 
-def _refuse_coarse(name: str, stamps_ns: Ints) -> None:
+def _refuse_coarse(name: str, stamps_ns: Ints, shared: float = SHARED) -> None:
     """Refuse stamps without resolution: float32 seconds since 1970 step by 128 s."""
     steps = np.diff(stamps_ns)
     distinct = 1 + int(np.count_nonzero(steps))
-    if stamps_ns.size > SHARED * distinct and (distinct == 1 or np.median(steps[steps > 0]) > LONGEST_BATCH_NS):
+    if stamps_ns.size > shared * distinct and (distinct == 1 or np.median(steps[steps > 0]) > LONGEST_BATCH_NS):
         message = f"{name}: {distinct} distinct stamps in {stamps_ns.size} rows: the stamps have no resolution"
         raise AttestError(message, "write stamps as int64 ns, or seconds with all their digits (float32 has too few)")
 

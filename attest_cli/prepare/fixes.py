@@ -11,12 +11,15 @@ from ..maths import rotation
 from ..records import COLUMNS, Array, Bools, Channel, Fixes, Ints, Warn
 from ..settings import Settings
 from ..settings.units import unit
-from . import units
+from . import places, units
 from .clock import in_order, seconds
 
 STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
 
+GPS_SIGMA_M = 3.0  # where nothing is stated
+LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
+DRIVING_M_S, SIDEWAYS = 0.1, 3.0
 CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})
 
 
@@ -117,7 +120,7 @@ def _columns(channel: Channel, names: tuple[str, ...], target: str) -> Array:
     return units.in_si(channel, names, target).values
 
 
-def _sun(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001 (converters share a signature)
+def _sun(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:
     names = tuple(
         name for name in COLUMNS["sun"] if name in channel.values and np.any(np.isfinite(channel.values[name]))
     )
@@ -128,17 +131,23 @@ def _sun(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values: 
     if len(names) == 3:
         values = values / np.where(norms > 0.0, norms, np.nan)
         return (values[:, :2] if settings.sun.components == 2 else values), None
-    return np.where(norms > 0.0, values, np.nan), None
+    long = norms > LONGEST_SUN
+    if np.any(long):
+        count = f"{np.count_nonzero(long)} of {norms.size}"
+        message = f"{count} directions of {channel.name} (sun) are longer than 1: dropped"
+        warnings.append(Warn("sun-not-unit", message, "two components are those of a unit vector"))
+    return np.where((norms > 0.0) & ~long, values, np.nan), None
 
 
 def _magnetometer(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:
     values = units.magnetometer(channel, COLUMNS["magnetometer"], warnings)
+    values = np.where(np.any(values != 0.0, axis=1)[:, None], values, np.nan)
     if settings.imu.mounting != "auto":  # it sits in the same box as the IMU
         values = values @ rotation.matrix(np.array(settings.imu.mounting)).T
     return values, None
 
 
-def _compass(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
+def _compass(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001 (converters share a signature)
     heading = channel.values["compass_deg"]
     finite = heading[np.isfinite(heading)]
     stated = channel.units.get("compass_deg", "")
@@ -164,14 +173,26 @@ def _odometry(channel: Channel, settings: Settings, warnings: list[Warn]) -> Val
     names = tuple(name for name in COLUMNS["odometry"] if name in channel.values) or ("speed",)
     values = np.full((channel.stamps_ns.size, 3), np.nan)
     values[:, : len(names)] = _columns(channel, names, "m/s")
+    forward, aside = (np.abs(values[:, k][np.isfinite(values[:, :2]).all(axis=1)]) for k in (0, 1))
+    driving = forward + aside > DRIVING_M_S
+    if driving.any() and np.median(aside[driving]) > SIDEWAYS * np.median(forward[driving]):
+        message = f"channel {channel.name}: the odometry moves sideways, hardly forward"
+        warnings.append(Warn("odometry-sideways", message, "velocity_x is forward: are the axes those of the body?"))
     sigmas = tuple(f"velocity_sigma_{axis}" for axis in "xyz")
     return values, _columns(channel, sigmas, "m/s") if set(sigmas) <= channel.values.keys() else None
 
 
-def _gps(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
-    place = _columns(channel, ("latitude", "longitude"), "rad") if channel.units.get("latitude") else None
-    if place is None:
-        place = np.radians(np.stack([channel.values["latitude"], channel.values["longitude"]], axis=1))
+def _usual(channel: Channel, name: str) -> float:
+    """Return the median of a column, 0 where there is none."""
+    values = channel.values.get(name, np.zeros(0))
+    return float(np.median(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
+
+
+def _gps(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:
+    degrees = places.degrees(channel, warnings)
+    warnings += places.doubts(channel, degrees, settings.world)
+    warnings += places.coarse(channel, degrees, settings.gps.sigma_m or _usual(channel, "gps_sigma_m") or GPS_SIGMA_M)
+    place = np.radians(degrees)
     has_height = "altitude" in channel.values
     height = _columns(channel, ("altitude",), "m") if has_height else np.full((channel.stamps_ns.size, 1), np.nan)
     if "gps_sigma_m" not in channel.values:

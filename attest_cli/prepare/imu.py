@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..errors import AttestError
 from ..maths import rotation
 from ..records import COLUMNS, Array, Bools, Channel, Imu, Ints, Warn
 from ..settings import Settings
-from . import clipping, units
+from . import axes, clipping, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
@@ -43,7 +44,7 @@ class _Rows:
     rows_in: int
 
 
-def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRows:
+def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent: bool = False) -> ImuRows:
     """Make the IMU of one channel, or of a gyro and an accelerometer channel.
 
     Parameters
@@ -51,6 +52,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRow
     files : str
         Names of the files, for messages.
     parts : one imu channel, or gyro and accel
+    spent : empty them when they have been read
 
     Raises
     ------
@@ -63,21 +65,30 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings) -> ImuRow
     first = ordered[0]
     _enough(files, first.stamps_ns)
     t0_ns = min(t0_ns, int(first.stamps_ns[0]))  # a first batch is spread to before its stamp
-    seconds_in = float(first.stamps_ns[-1] - first.stamps_ns[0]) * 1e-9
+    seconds_in, rows_in = float(first.stamps_ns[-1] - first.stamps_ns[0]) * 1e-9, first.rows_in
     stamps_ns, table = (
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
     gyro, accel = _in_si(parts, stamps_ns, t0_ns, table, settings, warnings)
-    lone = spikes(gyro, GYRO_FLOOR) | spikes(accel, ACCEL_FLOOR)
+    del table, ordered, first  # a long log is not held twice
+    for part in parts if spent else ():
+        cast("dict[str, Array]", part.values).clear()
+    held = _held(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
+    if held.any():
+        stamps_ns, gyro, accel = stamps_ns[~held], gyro[~held], accel[~held]
+        _enough(files, stamps_ns)
+    lone = _alone(gyro, GYRO_FLOOR) | _alone(accel, ACCEL_FLOOR)
     if lone.any():
         warnings.append(_told_spikes(f"{files}: {parts[0].name}", lone, stamps_ns, t0_ns))
         stamps_ns, gyro, accel = stamps_ns[~lone], gyro[~lone], accel[~lone]
+    warnings += axes.doubts(f"channel {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel)
     holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
     if holes_ns.size:
         warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns)))
-    imu = _unclipped(f"{files}: {parts[0].name}", Imu(seconds(stamps_ns, t0_ns), gyro, accel), warnings)
-    return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, first.rows_in, seconds_in, tuple(warnings))
+    imu = Imu(seconds(stamps_ns, t0_ns), gyro, accel)
+    imu = _unclipped(f"{files}: {parts[0].name}", imu, settings.time.max_gap_s, warnings)
+    return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, rows_in, seconds_in, tuple(warnings))
 
 
 def _in_si(
@@ -93,13 +104,35 @@ def _in_si(
     return units.gyroscope(gyro_part, COLUMNS["gyro"], t, accel, warnings), accel
 
 
-def _unclipped(name: str, imu: Imu, warnings: list[Warn]) -> Imu:
-    """Draw the gyro where it ran out of its range; make clipped samples noisier, and say so."""
+def _alone(values: Array, floor: float) -> Bools:
+    """Tell the rows (n,) of spikes, axis by axis: all at once would be another copy of a long log."""
+    rows: Bools = np.logical_or.reduce([spikes(values[:, i : i + 1], floor) for i in range(values.shape[1])])
+    return rows
+
+
+def _held(name: str, t: Array, gyro: Array, accel: Array, warnings: list[Warn]) -> Bools:
+    """Tell rows (n,) in which an axis is stuck; say so, and of axes that are dead."""
+    found = [*stuck.stuck(t, gyro), *stuck.stuck(t, accel)]
+    extremes = np.concatenate([[x.min(axis=0), x.max(axis=0)] for x in (gyro, accel)], axis=1)
+    warnings += stuck.told(name, COLUMNS["imu"], found, t)
+    warnings += stuck.told_dead(name, COLUMNS["imu"], stuck.dead(extremes))
+    warnings += stuck.told_coarse(name, gyro)
+    rows: Bools = np.logical_or.reduce(found)
+    return rows
+
+
+def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> Imu:
+    """Draw the gyro where it ran out of its range; make clipped samples noisier, and say so; noisier too are samples
+    beside those that are lost.
+    """
     found = clipping.clipped(imu.t, imu.gyro_b, clipping.GYRO_FLOOR)
     if found:
         warnings.append(clipping.told(name, "gyro", found, "rad/s"))
         gyro, density = clipping.repaired(imu.t, imu.gyro_b, found, clipping.GYRO_DENSITY)
         imu = replace(imu, gyro_b=gyro, gyro_clipped=density)
+    bridged = lost.bridged(imu.t, imu.gyro_b, longest_s)
+    if bridged is not None:
+        imu = replace(imu, gyro_clipped=bridged if imu.gyro_clipped is None else np.hypot(bridged, imu.gyro_clipped))
     found = clipping.clipped(imu.t, imu.accel_b, clipping.ACCEL_FLOOR)
     if found:
         warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
@@ -113,6 +146,8 @@ def _in_body(imu: Imu, settings: Settings) -> Imu:
     if settings.imu.mounting == "auto":
         return imu
     R_bs = rotation.matrix(np.array(settings.imu.mounting))
+    if np.array_equal(R_bs, np.eye(3)):
+        return imu
     return replace(imu, gyro_b=imu.gyro_b @ R_bs.T, accel_b=imu.accel_b @ R_bs.T)
 
 
@@ -129,7 +164,7 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
     names = COLUMNS[channel.role]
     start, end = _window(channel.stamps_ns, t0_ns, settings)
     stamps_ns = channel.stamps_ns[start:end]
-    values = np.stack([channel.values[name][start:end] for name in names], axis=1)
+    values = _side_by_side([channel.values[name][start:end] for name in names])
     finite = np.isfinite(values)
     if values.size and not finite.any(axis=0).all():
         empty = names[int(np.argmin(finite.any(axis=0)))]
@@ -137,18 +172,27 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
             f"{files}: column {empty} of {channel.name} is empty", "map another channel, or repair the export"
         )
     good = finite.all(axis=1)
-    lost = int(np.count_nonzero(~good))
-    if lost:
+    missing = int(np.count_nonzero(~good))
+    if missing:
         counts = ", ".join(f"{name} {n}" for name, n in zip(names, np.sum(~finite, axis=0), strict=True) if n)
-        message = f"{files}: {lost} of {good.size} rows of {channel.name} dropped, not finite: {counts}"
+        message = f"{files}: {missing} of {good.size} rows of {channel.name} dropped, not finite: {counts}"
         warnings.append(Warn("imu-not-finite", message))
-    if lost:
+    if missing:
         stamps_ns, values = stamps_ns[good], values[good]
     ordered = in_order(f"{files}: {channel.name}", stamps_ns, values, t0_ns)
     warnings.extend(ordered.warnings)
     if not np.array_equal(ordered.rows, np.arange(len(values))):
         values = values[ordered.rows]
     return _Rows(channel, ordered.stamps_ns, values, good.size)
+
+
+def _side_by_side(columns: Sequence[Array]) -> Array:
+    """Return columns as a table (n, k): without a copy where a reader has put them side by side."""
+    first, k = columns[0], len(columns)
+    places = [column.__array_interface__["data"][0] for column in columns]
+    if first.strides != (8 * k,) or places != [places[0] + 8 * i for i in range(k)]:
+        return np.stack(columns, axis=1)
+    return np.lib.stride_tricks.as_strided(first, (len(first), k), (8 * k, 8), writeable=False)
 
 
 def _window(stamps_ns: Ints, t0_ns: int, settings: Settings) -> tuple[int, int]:
@@ -190,9 +234,9 @@ def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn])
         accel = replace(accel, stamps_ns=accel.stamps_ns[~lone], values=accel.values[~lone])
     t, ta = seconds(stamps_ns, origin), seconds(accel.stamps_ns, origin)
     force = np.stack([np.interp(t, ta, column) for column in accel.values.T], axis=1)
-    lost = int(np.count_nonzero(~inside))
-    if lost > 0.01 * inside.size:
-        message = f"{lost} of {inside.size} rows of {gyro.channel.name} dropped: {accel.channel.name} has none there"
+    without = int(np.count_nonzero(~inside))
+    if without > 0.01 * inside.size:
+        message = f"{without} of {inside.size} rows of {gyro.channel.name} dropped: {accel.channel.name} has none there"
         warnings.append(Warn("imu-half-missing", message))
     return stamps_ns, np.concatenate([gyro.values[inside], force], axis=1)
 

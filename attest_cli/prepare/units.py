@@ -21,6 +21,7 @@ FIELD_T = (1e-5, 1.5e-4)  # fields met on Earth's surface, with the iron of a ve
 UNIT_FIELD_T = 5e-5  # what a normalised field is scaled to: its direction is all it holds
 FASTEST_GYRO = 35.0  # rad/s: 2000 deg/s, the widest range of common gyros
 FASTEST_STATED = 70.0  # rad/s: 4000 deg/s, what no common gyro reaches where it is stated
+FAST_LEVEL, LEVEL = 3.0, 0.1  # rad/s: what drives on the level turns slower; rad: that is level
 FASTEST_DEG_S = 6000.0  # what no common gyro reaches: above it values are raw counts
 GYRO_COUNTS = (
     131.072,
@@ -33,6 +34,8 @@ GYRO_COUNTS = (
     28.571,
     14.286,
 )  # per deg/s: 16 bits of usual ranges
+SCALE_OFF = 0.07  # share of gravity: no accelerometer that was ever calibrated is so far off
+CALM_SHARE = 0.1  # of the windows
 MOST_GRAVITY = 4.0  # times gravity: above it the steady part has another unit, not another scale
 
 WINDOW_S = 0.5  # over which the specific force is averaged to show gravity
@@ -88,6 +91,11 @@ def accelerometer(channel: Channel, names: Sequence[str], t: Array, gravity: flo
     quantity = in_si(channel, names, SI["accel"])
     still = _steady_norm(t, quantity.values)
     if 0.5 < still / gravity < 2.0:
+        calm = _calm_norm(t, quantity.values)
+        if abs(calm / gravity - 1.0) > SCALE_OFF:
+            message = f"channel {channel.name}: the accelerometer at its calmest shows {calm:.2f} m/s^2"
+            hint = "check its scale; elsewhere than on Earth, state world.gravity_m_s2"
+            warnings.append(Warn("accel-scale", f"{message}, gravity is {gravity:.2f}", hint))
         return quantity.values
     here = unit(quantity.stated or SI["accel"])[0]
     for name in ACCEL_UNITS:
@@ -122,18 +130,12 @@ def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, wa
     taken = quantity.stated or SI["gyro"]
     other = "rad/s" if taken == "deg/s" else "deg/s"
     ratio = unit(other)[0] / unit(taken)[0]
-    as_taken, as_other = (turning(t, quantity.values * factor, accel) for factor in (1.0, ratio))
+    as_taken, as_other = (turning(t, quantity.values, accel, factor) for factor in (1.0, ratio))
     if as_other > max(AGREEMENT, as_taken):
         fact = f"the turning of gravity agrees with {other} ({as_other:.0%} of it explained)"
         warnings.append(_told(channel, "gyro", quantity.stated, other, fact))
         return quantity.values * ratio
-    if as_taken < -AGREEMENT:
-        fact = f"{-as_taken:.0%} of the turning of gravity is the gyro's, reversed"
-        message = f"channel {channel.name}: the gyro turns against the accelerometer: {fact}"
-        warnings.append(
-            Warn("gyro-against-accel", message, "check signs and axes; a gyro turns right-handed about its axes")
-        )
-    elif as_taken < AGREEMENT:
+    if -AGREEMENT <= as_taken < AGREEMENT:
         return _untold(channel, quantity, t, accel, warnings)
     return quantity.values
 
@@ -148,7 +150,12 @@ def _untold(channel: Channel, quantity: Quantity, t: Array, accel: Array, warnin
     """
     stated = quantity.stated
     in_g = any(_says_g(warning, channel) for warning in warnings)
-    if stated and (stated != SI["gyro"] or not (in_g or np.quantile(np.abs(quantity.values), 0.99) > FASTEST_STATED)):
+    usual = float(np.quantile(np.abs(quantity.values), 0.99))
+    if stated and (stated != SI["gyro"] or not (in_g or usual > FASTEST_STATED)):
+        if stated == SI["gyro"] and usual > FAST_LEVEL and _leans(t, accel) < LEVEL:
+            fact = f"turns at up to {_digits(usual)} rad/s on the level, {_digits(usual * 9.549)} times a minute"
+            hint = f"state the unit in the header{_state(channel)}"
+            warnings.append(Warn("unit-doubted", f"channel {channel.name}: the gyro {fact}: or is it in deg/s?", hint))
         return quantity.values
     if not stated:
         _refuse_counts(channel, t, quantity.values, accel)
@@ -159,6 +166,14 @@ def _untold(channel: Channel, quantity: Quantity, t: Array, accel: Array, warnin
     name = "deg/s" if fastest > FASTEST_GYRO else "rad/s"
     warnings.append(_told(channel, "gyro", stated, name, f"its largest value is {_digits(fastest)}"))
     return quantity.values * unit(name)[0]
+
+
+def _leans(t: Array, accel: Array) -> float:
+    """Return by how much the steady part of the specific force leans about its mean, rad, RMS."""
+    edges = _windows(t)
+    up = np.add.reduceat(accel, edges[:-1], axis=0)
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12)
+    return float(np.sqrt(np.mean(np.sum((up - up.mean(axis=0)) ** 2, axis=1))))
 
 
 def _says_g(warning: Warn, channel: Channel) -> bool:
@@ -199,30 +214,47 @@ def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -
     return quantity.values if quantity.stated else quantity.values * 1e-6
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a value of 1e300 is a spike, and falls out later
-def turning(t: Array, gyro: Array, accel: Array) -> float:
-    r"""Compare the gyro (rad/s) with the turning of the specific force's direction u.
-
-    Between windows that turn by less than half a radian, :math:`\Delta u = -\theta \times u` with the gyro's angle
-    :math:`\theta`. Returns the agreement: the share of :math:`\Delta u` that this explains, negative if reversed;
-    0 where nothing turns or gravity does not stand out. A wrong scale explains little: 1/57 of it, or nothing.
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Steps between windows: ``step`` (k,) s, the gyro's ``angle``, gravity's direction ``up`` half-way and by how much
+    it was ``seen`` to change, all (k, 3).
     """
-    edges = _windows(t)
+
+    step: Array
+    angle: Array
+    up: Array
+    seen: Array
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a value of 1e300 is a spike, and falls out later
+def turns(t: Array, gyro: Array, accel: Array, window_s: float = WINDOW_S, scale: float = 1.0) -> Turns:
+    """Average gyro (``scale``: to rad/s) and specific force over windows; keep small steps near gravity."""
+    edges = _windows(t, window_s)
     if edges.size < MIN_WINDOWS:
-        return 0.0
+        return Turns(np.empty(0), *np.empty((3, 0, 3)))
     counts = np.diff(edges)[:, None]
     force, rate = (np.add.reduceat(values, edges[:-1], axis=0) / counts for values in (accel, gyro))
     middle = np.add.reduceat(t, edges[:-1]) / counts[:, 0]
     norms = np.linalg.norm(force, axis=1)
     u = force / np.where(norms > 0.0, norms, 1.0)[:, None]
     seen, step = np.diff(u, axis=0), np.diff(middle)
-    angle = 0.5 * (rate[1:] + rate[:-1]) * step[:, None]
-    expected = -np.cross(angle, 0.5 * (u[1:] + u[:-1]))
+    angle = 0.5 * scale * (rate[1:] + rate[:-1]) * step[:, None]
     near = np.abs(norms / np.median(norms) - 1.0) < 0.1
-    good = near[1:] & near[:-1] & (np.linalg.norm(angle, axis=1) < LARGEST_TURN) & (step < 2.0 * WINDOW_S)
-    seen, expected = seen[good], expected[good]
+    good = near[1:] & near[:-1] & (np.linalg.norm(angle, axis=1) < LARGEST_TURN) & (step < 2.0 * window_s)
+    return Turns(step[good], angle[good], 0.5 * (u[1:] + u[:-1])[good], seen[good])
+
+
+def turning(t: Array, gyro: Array, accel: Array, scale: float = 1.0) -> float:
+    r"""Compare the gyro (times ``scale``: rad/s) with the turning of the specific force's direction u.
+
+    Between windows that turn by less than half a radian, :math:`\Delta u = -\theta \times u` with the gyro's angle
+    :math:`\theta`. Returns the agreement: the share of :math:`\Delta u` that this explains, negative if reversed;
+    0 where nothing turns or gravity does not stand out. A wrong scale explains little: 1/57 of it, or nothing.
+    """
+    found = turns(t, gyro, accel, scale=scale)
+    seen, expected = found.seen, -np.cross(found.angle, found.up)
     total = float(np.sum(seen**2))
-    if np.count_nonzero(good) < MIN_WINDOWS or total == 0.0:
+    if len(seen) < MIN_WINDOWS or total == 0.0:
         return 0.0
     explained = 1.0 - float(np.sum((seen - expected) ** 2)) / total
     against = 1.0 - float(np.sum((seen + expected) ** 2)) / total
@@ -237,11 +269,24 @@ def _steady_norm(t: Array, accel: Array) -> float:
     return float(np.median(np.linalg.norm(means, axis=1)))
 
 
-def _windows(t: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+@np.errstate(over="ignore", invalid="ignore")
+def _calm_norm(t: Array, accel: Array) -> float:
+    """Return the median norm of the tenth of the windows that vary least: at rest, where there is any."""
+    edges = _windows(t)
+    counts = np.diff(edges)[:, None]
+    means = np.add.reduceat(accel, edges[:-1], axis=0) / counts
+    spread = np.sum(np.add.reduceat(accel**2, edges[:-1], axis=0) / counts - means**2, axis=1)
+    calm = spread <= np.quantile(spread, CALM_SHARE)
+    return float(np.median(np.linalg.norm(means[calm], axis=1)))
+
+
+def _windows(t: Array, window_s: float = WINDOW_S) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Return the first sample of each window and the end, in a log that may have gaps."""
-    number = np.floor((t - t[0]) / WINDOW_S)
-    starts = np.flatnonzero(np.diff(number, prepend=-1.0))
-    return np.append(starts, t.size).astype(np.int64)
+    number = t - t[0]
+    number /= window_s
+    np.floor(number, out=number)  # in place: a long log has many
+    starts = np.flatnonzero(number[1:] != number[:-1]) + 1
+    return np.concatenate([[0], starts, [t.size]])
 
 
 def _digits(value: float) -> str:

@@ -14,11 +14,12 @@ import numpy as np
 from mcap.records import Schema
 
 from ..errors import AttestError
-from ..records import Recording, Warn
+from ..records import LATEST_NS, Recording, Warn
 from ..settings import Settings
 from . import topics
 from .extras import extra
-from .mcap_records import MAX_CHUNK_BYTES, Batch
+from .mcap_chunks import MAX_CHUNK_BYTES
+from .mcap_records import Batch
 from .messages import TYPES
 from .topics import Topic, line
 from .wires import Wires
@@ -29,9 +30,11 @@ BATCH_BYTES = 8 << 20
 MAX_MESSAGE_BYTES = 64 << 20
 """Limit of one message; those of the types that are read take some hundred bytes."""
 REINDEX = "rosbag reindex saves what is whole"
+NOT_AS_STATED = "a record is not what its place asks for"
 RECOVER = "sqlite3 with .recover saves what is whole"
 _DAMAGED = (
-    struct.error, ValueError, AssertionError, KeyError, IndexError, EOFError, RuntimeError, OverflowError, MemoryError,
+    struct.error, ValueError, TypeError, AssertionError, KeyError, IndexError, EOFError, RuntimeError, OverflowError,
+    MemoryError,
 )  # fmt: skip
 
 
@@ -67,7 +70,7 @@ def _ros1(path: Path, other: dict[str, str], told: list[Warn]) -> list[Topic]:
             if wanted:  # none would be all
                 _fill(path, chosen, ((c.id, stamp, data) for c, stamp, data in reader.messages(wanted)))
     except (library.ReaderError, *_DAMAGED) as error:
-        raise AttestError(f"{path}: damaged ROS 1 bag: {line(error) or type(error).__name__}", REINDEX) from None
+        raise AttestError(f"{path}: damaged ROS 1 bag: {line(error) or NOT_AS_STATED}", REINDEX) from None
     return list(dict.fromkeys(chosen.values()))
 
 
@@ -96,17 +99,30 @@ def _ros2(path: Path, other: dict[str, str], told: list[Warn]) -> list[Topic]:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
             base.execute("PRAGMA trusted_schema = OFF")
+            (sound,) = base.execute("PRAGMA quick_check(1)").fetchone()
+            if sound != "ok":
+                raise AttestError(f"{path}: damaged ROS 2 bag: {' '.join(sound.split())}", RECOVER)
             tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
                 raise AttestError(f"{path}: an SQLite file without the tables of a ROS 2 bag", "name the .db3 of a bag")
             declared = _declared(path, base, tables, other)
+            _count_strays(path, base, told)
             chosen = _choose(path, "cdr", declared, other)
             places = ",".join("?" * len(chosen))
             query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"  # noqa: S608
             _fill(path, chosen, _checked(path, base.execute(query, list(chosen))))
     except (sqlite3.Error, *_DAMAGED) as error:
-        raise AttestError(f"{path}: damaged ROS 2 bag: {line(error) or type(error).__name__}", RECOVER) from None
+        raise AttestError(f"{path}: damaged ROS 2 bag: {line(error) or NOT_AS_STATED}", RECOVER) from None
     return list(dict.fromkeys(chosen.values()))
+
+
+def _count_strays(path: Path, base: sqlite3.Connection, told: list[Warn]) -> None:
+    """Say how many messages are of a topic that is not there: nothing else guards the number of a topic."""
+    query = "SELECT count(*) FROM messages WHERE topic_id IS NULL OR topic_id NOT IN (SELECT id FROM topics)"
+    (count,) = base.execute(query).fetchone()
+    if count:
+        message = f"{path.name}: damaged ROS 2 bag: {count} messages are of no topic of it"
+        told.append(Warn("damaged-bag", message, RECOVER, lost=True))
 
 
 def _check_pages(path: Path) -> None:
@@ -151,7 +167,10 @@ def _standard(path: Path, kind: str) -> str:
 def _checked(path: Path, rows: Iterable[tuple[object, object, object]]) -> Iterator[Message]:
     """Hold the types of a row against what SQLite does not: any cell can be anything."""
     for number, stamp, data in rows:
-        if not (isinstance(number, int) and isinstance(stamp, int) and isinstance(data, bytes)):
+        if (
+            not (isinstance(number, int) and isinstance(stamp, int) and isinstance(data, bytes))
+            or abs(stamp) > LATEST_NS
+        ):
             raise AttestError(f"{path}: damaged ROS 2 bag: a message that is no message", RECOVER)
         yield number, stamp, data
 

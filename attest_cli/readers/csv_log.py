@@ -167,6 +167,7 @@ def _table(text: _Text, bad: list[tuple[int | None, str]]) -> tuple[pa.Table, tu
         if text.dialect.decimal == ",":
             cells = pc.replace_substring(cells, ",", ".")
         number = pc.fill_null(pc.match_substring_regex(cells, rf"(?i)^({NUMBER.pattern})$"), fill_value=False)
+        number = pc.and_(number, pc.invert(pc.fill_null(pc.match_substring(cells, ","), fill_value=False)))
         wrong = pc.filter(cells, pc.and_(pc.is_valid(cells), pc.invert(number)))
         if len(wrong) > MAX_BAD_SHARE * table.num_rows and len(wrong) > 1:
             message = (

@@ -14,8 +14,8 @@ import numpy as np
 from ..errors import AttestError
 from ..records import Channel, Recording
 from ..settings import Settings
+from .mcap_chunks import DamagedError
 from .mcap_log import decode, recording_of
-from .mcap_records import DamagedError
 from .mcap_summary import Logged, Summary, UnsureError, excerpt, logged, summary_of
 
 AT_MOST = 0.25

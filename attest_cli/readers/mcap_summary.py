@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import struct
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -15,15 +16,16 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, Footer, Statistics
+from mcap.records import ChunkIndex, Statistics
 
-from ..records import Ints
-from .mcap_records import LATEST_NS, MAGIC
+from ..records import LATEST_NS, Ints
+from .mcap_records import MAGIC
 
 _HEADER = struct.Struct("<BQ")  # opcode, length
 _INDEX = struct.Struct("<HI")  # channel, bytes of the pairs (log time, offset)
-_FOOTER_BYTES = _HEADER.size + 20
-_DATA_END = _HEADER.pack(Opcode.DATA_END, 4) + bytes(4)  # no checksum
+_FOOTER = struct.Struct("<QQI")  # summary, its offsets, its checksum
+_FOOTER_BYTES = _HEADER.size + _FOOTER.size
+DATA_END = _HEADER.pack(Opcode.DATA_END, 4) + bytes(4)  # no checksum
 LARGEST_SUMMARY = 64 << 20
 
 
@@ -51,18 +53,38 @@ class Logged:
 
 def summary_of(stream: BinaryIO, size: int) -> Summary:
     """Read the summary; ``UnsureError`` if it is missing, or chunks and messages are not all in it."""
+    summary, start, chunk_count = _read(stream, size)
+    if not summary.chunks or chunk_count != len(summary.chunks) or not _apart(summary.chunks, start):
+        raise UnsureError
+    return summary
+
+
+def stated(stream: BinaryIO, size: int) -> Summary | None:
+    """Return what the summary states, whatever became of the rest of the file; None where it is damaged or missing."""
+    try:
+        return _read(stream, size)[0]
+    except UnsureError:
+        return None
+
+
+def _read(stream: BinaryIO, size: int) -> tuple[Summary, int, int]:
+    """Read the summary, where it starts and how many chunks it counts (-1: no statistics), and hold its checksum."""
     at = size - len(MAGIC) - _FOOTER_BYTES
     if at < len(MAGIC):
         raise UnsureError
     stream.seek(at)
-    opcode, body = _records(stream.read(_FOOTER_BYTES))[0]
-    start = Footer.read(ReadDataStream(io.BytesIO(body))).summary_start if opcode == Opcode.FOOTER else 0
+    footer = stream.read(_FOOTER_BYTES)
+    opcode, body = _records(footer)[0]
+    start, _, crc = _FOOTER.unpack(body) if opcode == Opcode.FOOTER and len(body) == _FOOTER.size else (0, 0, 0)
     if not len(MAGIC) <= start < at or at - start > LARGEST_SUMMARY or stream.read() != MAGIC:
         raise UnsureError
     stream.seek(start)
+    section = stream.read(at - start)
+    if crc and crc != zlib.crc32(footer[:-4], zlib.crc32(section)):
+        raise UnsureError
     declared, chunks, statistics = b"", [], None
     try:
-        for opcode, body in _records(stream.read(at - start)):
+        for opcode, body in _records(section):
             if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 declared += _HEADER.pack(opcode, len(body)) + body
             elif opcode == Opcode.CHUNK_INDEX:
@@ -71,10 +93,9 @@ def summary_of(stream: BinaryIO, size: int) -> Summary:
                 statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
     except (McapError, struct.error, ValueError):
         raise UnsureError from None
-    if not chunks or statistics is None or statistics.chunk_count != len(chunks) or not _apart(chunks, start):
-        raise UnsureError
     chunks.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
-    return Summary(declared, tuple(chunks), {k: n for k, n in statistics.channel_message_counts.items() if n})
+    counts = {} if statistics is None else {k: n for k, n in statistics.channel_message_counts.items() if n}
+    return Summary(declared, tuple(chunks), counts), start, -1 if statistics is None else statistics.chunk_count
 
 
 def logged(stream: BinaryIO, summary: Summary) -> dict[int, Logged]:
@@ -101,7 +122,7 @@ def excerpt(stream: BinaryIO, summary: Summary, places: Iterable[int]) -> bytes:
     for chunk in (summary.chunks[place] for place in sorted(places)):
         stream.seek(chunk.chunk_start_offset)
         parts.append(stream.read(chunk.chunk_length + chunk.message_index_length))
-    return b"".join([*parts, _DATA_END])
+    return b"".join([*parts, DATA_END])
 
 
 def _apart(chunks: Iterable[ChunkIndex], end: int) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..errors import AttestError
-from ..records import Array, Bools, Recording, Warn
+from ..records import COLUMNS, Array, Bools, Ints, Recording, Warn
 from ..settings import Settings
 from . import stamps
 from .arrow import is_number, numbers
@@ -35,15 +35,63 @@ def read(path: Path, settings: Settings) -> Recording:
         if rows == 0:
             raise AttestError(f"{path}: the table has no rows", "was the recording empty?")
         times = {c.index: _column(file, schema, c.index) for c in layout.times}
-        values = {  # one by one: all at once would be held twice
-            c.index: _floats(path, c.name, _column(file, schema, c.index)) for c in layout.columns
-        }
-    except (pa.ArrowException, OSError) as error:
+        values = _values(path, file, schema, layout)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = str(error).splitlines()[0]
         raise AttestError(
             f"{path}: damaged Parquet: {reason}", "copy it again; a damaged page cannot be mended"
         ) from None
     return recording_of(path, "parquet", layout, values, lambda imu_rows: _stamps(path, layout, times, imu_rows))
+
+
+class Columns(Mapping[int, Array]):
+    """Columns (n,) by their index in the table; of one that is mostly blank only its values are kept, and spread over
+    its rows when they are asked for.
+    """
+
+    def __init__(self) -> None:
+        self._whole: dict[int, Array] = {}
+        self._few: dict[int, tuple[int, Ints, Array]] = {}  # rows of the table, rows with a value, values
+
+    def keep(self, index: int, column: Array) -> None:
+        """Keep a column."""
+        known = np.flatnonzero(~np.isnan(column))
+        if 2 * known.size > column.size:
+            self._whole[index] = column
+            return
+        alike = (rows for _, rows, _ in self._few.values() if np.array_equal(rows, known))  # those of one sensor
+        self._few[index] = (column.size, next(alike, known), column[known])
+
+    def __getitem__(self, index: int) -> Array:
+        if index in self._whole:
+            return self._whole[index]
+        size, rows, values = self._few[index]
+        out = np.full(size, np.nan)
+        out[rows] = values
+        return out
+
+    def __iter__(self) -> Iterator[int]:
+        return iter((*self._whole, *self._few))
+
+    def __len__(self) -> int:
+        return len(self._whole) + len(self._few)
+
+
+def _values(path: Path, file: pq.ParquetFile, schema: pa.Schema, layout: Layout) -> Columns:
+    """Read the columns in use, one by one: all at once would be held twice; those of the IMU side by side in a table,
+    as they are used.
+    """
+    rows, inertial = file.metadata.num_rows, COLUMNS["imu"]
+    tables = {c.instance: np.empty((rows, len(inertial))) for c in layout.columns if c.canonical in inertial}
+    values = Columns()
+    for c in layout.columns:
+        found = _floats(path, c.name, _column(file, schema, c.index))
+        if c.canonical in inertial:
+            place = tables[c.instance][:, inertial.index(c.canonical)]
+            place[:] = found
+            found = place
+        values.keep(c.index, found)
+    return values
 
 
 def _named(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[str]:
@@ -55,7 +103,10 @@ def _named(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[str]
 
 
 def _column(file: pq.ParquetFile, schema: pa.Schema, index: int) -> pa.ChunkedArray:
-    return file.read([schema.names[index]]).column(0)
+    column = file.read([schema.names[index]]).column(0)
+    if len(column) != file.metadata.num_rows:
+        raise pa.ArrowInvalid(f"column {index + 1} has {len(column)} of {file.metadata.num_rows} rows")
+    return column
 
 
 def _stated_unit(field: pa.Field) -> str:

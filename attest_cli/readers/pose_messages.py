@@ -16,7 +16,8 @@ from mcap_ros2.decoder import DecoderFactory
 
 from ..errors import AttestError
 from ..evaluate.records import Poses
-from .mcap_records import DamagedError, Message, walk
+from .mcap_chunks import DamagedError
+from .mcap_records import Message, walk
 
 NAN = math.nan
 Row = tuple[float, ...]

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..errors import AttestError
-from ..records import Array, Ints, Warn
+from ..records import LATEST_NS, Array, Ints, Warn
 
 DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit of time -> decimals down to the nanosecond."""
@@ -19,7 +19,7 @@ EPOCH_S = (6.3e8, 4.1e9)  # 1990 to 2100: seconds that are a date
 PERIOD_S = (1e-4, 1.0)  # periods an IMU can have
 OTHER_PERIOD_S = (1e-3, 3600.0)  # periods other sensors can have
 LONGEST_STEP_S = 90.0  # a sensor without a unit of time that steps by more counts no seconds
-NUMBER = r"^\s*[-+]?\d*\.?\d*([eE][-+]?\d+)?\s*$"
+NUMBER = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$"
 """Text that is a stamp."""
 
 WAY_OUT = 'name the unit in the header: "timestamp_ns", "time [ms]", "t_us"; for a text log also with --time-unit'
@@ -84,9 +84,10 @@ def from_text(column: pa.ChunkedArray, unit: str, path: Path) -> tuple[Ints, Arr
 def from_numbers(values: Array | Ints, unit: str) -> tuple[Ints, Array]:
     """Scale numbers to ns: integers exactly, floats to their own resolution."""
     factor = 10 ** DIGITS[unit]
+    latest = LATEST_NS // factor
+    valid = (values < latest) & ((values > -latest) | (values.dtype.kind == "u"))
     if values.dtype.kind in "iu":
-        return values.astype(np.int64) * factor, np.ones(values.size)
-    valid = np.isfinite(values)
+        return np.where(valid, values, 0).astype(np.int64) * factor, np.where(valid, 1.0, np.nan)
     safe = np.where(valid, values, 0.0)
     whole = np.floor(safe)
     stamps = whole.astype(np.int64) * factor + np.rint((safe - whole) * factor).astype(np.int64)
@@ -95,9 +96,9 @@ def from_numbers(values: Array | Ints, unit: str) -> tuple[Ints, Array]:
 
 def from_dates(column: pa.ChunkedArray) -> tuple[Ints, Array]:
     """Read Arrow timestamps as ns since the epoch; a missing zone is UTC."""
-    nanoseconds = pc.cast(pc.cast(column, pa.timestamp("ns", column.type.tz)), pa.int64())
-    valid = np.where(np.asarray(pc.is_valid(nanoseconds)), 1.0, np.nan)
-    return np.asarray(pc.fill_null(nanoseconds, 0), dtype=np.int64), valid
+    counts = pc.cast(column, pa.int64())
+    found, valid = from_numbers(np.asarray(pc.fill_null(counts, 0), dtype=np.int64), column.type.unit)
+    return found, np.where(np.asarray(pc.is_valid(counts)), valid, np.nan)
 
 
 def parse_dates(column: pa.ChunkedArray, path: Path) -> pa.ChunkedArray:
@@ -115,8 +116,8 @@ def _low_words(decimal: pa.Array, path: Path) -> tuple[Ints, Array]:
     words = np.frombuffer(decimal.buffers()[1], np.int64).reshape(-1, 2)[decimal.offset : decimal.offset + len(decimal)]
     valid = np.asarray(pc.is_valid(decimal), dtype=bool)
     low, high = words[:, 0], words[:, 1]
-    if np.any((high != low >> 63)[valid]):
-        raise AttestError(f"{path}: stamps beyond the year 2262 in the time column", "is its unit right?")
+    if np.any(((high != low >> 63) | (low >= LATEST_NS) | (low <= -LATEST_NS))[valid]):
+        raise AttestError(f"{path}: stamps beyond the year 2116 in the time column", "is its unit right?")
     return np.where(valid, low, 0), np.where(valid, 1.0, np.nan)
 
 

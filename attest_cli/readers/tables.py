@@ -40,6 +40,7 @@ NEEDED: Mapping[str, int] = {"gps": 2, "gps_velocity": 2, "sun": 2, "odometry": 
 """How many of a role's columns must be there, where not all."""
 
 MAX_TABLE_BYTES = 2 << 30
+SUSPECT_BYTES, MOST_EXPANDED = 256 << 20, 100  # beyond both a file is a bomb: noise does not pack
 """Limit of rows x columns in use x 8 bytes."""
 
 NAMES_HINT = (
@@ -198,13 +199,16 @@ def recording_of(
     told += invalid
     channels, receiver = _without_receiver_speed(path, channels)
     told += receiver
+    told += _empty(path, channels)
     kept = tuple(channel for channel in channels if channel.stamps_ns.size)
     return Recording(path, format_name, kept, int(good.size), layout.other, told, layout.told)
 
 
-def _valid_fixes(path: Path, layout: Layout, values: Mapping[int, Array]) -> tuple[dict[int, Array], tuple[Warn, ...]]:
+def _valid_fixes(
+    path: Path, layout: Layout, values: Mapping[int, Array]
+) -> tuple[Mapping[int, Array], tuple[Warn, ...]]:
     """Blank the fixes whose accuracy is negative, and a negative speed with them: so phones mark what is none."""
-    kept = dict(values)
+    kept: dict[int, Array] = {}
     told: list[Warn] = []
     for accuracy in (column for column in layout.columns if column.canonical == "gps_sigma_m"):
         wrong = values[accuracy.index] < 0.0
@@ -217,7 +221,7 @@ def _valid_fixes(path: Path, layout: Layout, values: Mapping[int, Array]) -> tup
                 kept[column.index] = np.where(wrong & (values[column.index] < 0.0), np.nan, values[column.index])
         message = f"{path.name}: {np.count_nonzero(wrong)} fixes dropped: their accuracy is negative"
         told.append(Warn("gps-invalid", message, "a receiver marks fixes so that are none"))
-    return kept, tuple(told)
+    return ({**values, **kept} if kept else values), tuple(told)
 
 
 def _without_receiver_speed(path: Path, channels: Sequence[Channel]) -> tuple[list[Channel], tuple[Warn, ...]]:
@@ -234,6 +238,15 @@ def _without_receiver_speed(path: Path, channels: Sequence[Channel]) -> tuple[li
         else:
             kept.append(channel)
     return kept, told
+
+
+def _empty(path: Path, channels: Sequence[Channel]) -> tuple[Warn, ...]:
+    """Say which sensors have columns but no value in any row."""
+    blank = [c for c in channels if c.role and not c.stamps_ns.size]
+    return tuple(
+        Warn("channel-empty", f"{path.name}: no row has a value of {c.name} ({', '.join(c.values)})", "not used")
+        for c in blank
+    )
 
 
 def _channel(
@@ -307,6 +320,9 @@ def check_size(path: Path, rows: int, columns: int) -> None:
             f"{path}: {rows} rows x {columns} columns in use take {size / 2**30:.1f} GiB, over the limit of {limit}"
         )
         raise AttestError(message, "split the log into files of a drive each")
+    if size > SUSPECT_BYTES and size > MOST_EXPANDED * path.stat().st_size:
+        message = f"{path}: {rows} rows x {columns} columns in use take {MOST_EXPANDED} times the bytes of the file"
+        raise AttestError(message, "no sensor says so little: write the log again, or a part of it")
 
 
 def _some(names: Sequence[str], count: int = 8) -> str:

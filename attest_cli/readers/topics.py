@@ -11,15 +11,14 @@ import numpy as np
 from mcap.exceptions import McapError
 
 from ..errors import AttestError
-from ..records import Array, Bools, Channel, Ints, Recording, Warn
+from ..records import COLUMNS, LATEST_NS, Array, Bools, Channel, Ints, Recording, Warn
 from .mcap_records import Batch
 from .messages import MessageType
 from .ros2_layout import Bytes, Layout
 
 CLOCK_OFFSET_S = 0.05
 """Header stamps of two topics that differ by more against the time of logging are on different clocks."""
-LATEST_S = 9_223_372_036
-"""Last second that int64 ns can hold."""
+LATEST_S = LATEST_NS // 10**9
 
 UNDECODABLE = (
     McapError, struct.error, ValueError, TypeError, AttributeError, KeyError, IndexError, OverflowError, MemoryError,
@@ -52,17 +51,18 @@ class Topic:
     lay: Callable[[Bytes], Layout | None] | None = None
     layout: Layout | None = None
     frame_id: str = ""
-    stamps: list[Ints] = field(default_factory=list)  # per batch: header, log, publish (3, m) ns
-    tables: list[Array] = field(default_factory=list)  # per batch: columns of type (c, m)
+    stamps: Ints = field(default_factory=lambda: np.empty((0, 3), dtype=np.int64))  # header, log, publish; and room
+    imu: Array = field(default_factory=lambda: np.empty((0, 0)))  # those columns of the type, side by side; and room
+    others: Array = field(default_factory=lambda: np.empty((0, 0)))
     count: int = 0
 
     def clocks(self) -> Ints:
         """Return header stamp, time of logging and time of publishing, (3, n) ns."""
-        return np.concatenate(self.stamps, axis=1)
+        return self.stamps[: self.count].T
 
     def columns(self) -> dict[str, Array]:
-        """Return the columns of the type (n,), each on its own."""
-        return {name: np.concatenate([t[i] for t in self.tables]) for i, name in enumerate(self.type.columns)}
+        """Return the columns of the type (n,); those of an IMU lie side by side, as they are used."""
+        return dict(zip(self.type.columns, (*self.imu[: self.count].T, *self.others[: self.count].T), strict=True))
 
     def add(self, path: Path, batch: Batch, rows: Ints) -> None:
         """Read the messages ``rows`` of a batch.
@@ -78,9 +78,18 @@ class Topic:
         if not np.all(np.abs(found[:2]) <= LATEST_S):
             raise AttestError(f"{path}: a stamp of {self.name} is no time", NOT_OF_TYPE)
         header = found[0].astype(np.int64) * 1_000_000_000 + found[1].astype(np.int64)
-        self.stamps.append(np.stack([header, batch.log_ns[rows], batch.publish_ns[rows]]))
-        self.tables.append(self.type.table(found[2:]))
-        self.count += rows.size
+        stamps, end = (header, batch.log_ns[rows], batch.publish_ns[rows]), self.count + rows.size
+        if end > len(self.stamps):  # grown in place: pages that are not written to are not there
+            room = max(end, 2 * len(self.stamps))
+            self.stamps.resize((room, len(stamps)), refcheck=False)
+            of_imu = sum(name in COLUMNS["imu"] for name in self.type.columns)  # they come first
+            self.imu.resize((room, of_imu), refcheck=False)
+            self.others.resize((room, len(self.type.columns) - of_imu), refcheck=False)
+        self.stamps[self.count : end] = np.stack(stamps, axis=1)
+        table = self.type.table(found[2:]).T
+        self.imu[self.count : end] = table[:, : self.imu.shape[1]]
+        self.others[self.count : end] = table[:, self.imu.shape[1] :]
+        self.count = end
 
     def _at_once(self, path: Path, batch: Batch, rows: Ints) -> Array | None:
         """Return stamp and fields (2 + k, m), or None where a message is laid out in another way."""
@@ -145,7 +154,7 @@ def recording(
 def _stamps(path: Path, topic: Topic, source: str, warnings: list[Warn]) -> Ints:
     """Choose the stamps of a topic; zero header stamps are replaced by the time of logging, with a warning."""
     header, log, publish = topic.clocks()
-    chosen: Ints = {"header": header, "log": log, "publish": publish}[source]
+    chosen: Ints = {"header": header, "log": log, "publish": publish}[source].copy()
     zero = header == 0
     if source != "header" or not np.any(zero):
         return chosen

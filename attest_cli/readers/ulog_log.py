@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import AttestError
 from ..maths import rotation
-from ..records import COLUMNS, Array, Channel, Ints, Recording, Warn
+from ..records import COLUMNS, LATEST_NS, Array, Channel, Ints, Recording, Warn
 from ..settings import Settings
 from .extras import extra
 from .reference import ENU_FROM_NED, FLU_FROM_FRD
@@ -28,9 +28,10 @@ Data = Mapping[str, NDArray[Any]]
 MOST_FIELDS = 4096
 """Limit on the numbers of one record, nested types unrolled; PX4's largest has some hundred."""
 HEAD_BYTES = 3  # length and letter of a record
+MOST_READ = 8  # times the bytes of a file
 NO_ACCEL = np.iinfo(np.int32).max  # accelerometer_timestamp_relative: no reading in this record
 NS_PER_US = 1000
-LATEST_US = np.iinfo(np.int64).max // NS_PER_US
+LATEST_US = LATEST_NS // NS_PER_US
 DECIMATED = 0.5  # integrals over less than this share of the time between them leave the rest out
 TESLA = 1e-4  # per gauss
 AGAIN = "copy it again from the autopilot"
@@ -67,9 +68,10 @@ def _load(path: Path, library: Any, warnings: list[Warn]) -> Any:
     faults = (library.ULogException, ValueError, KeyError, IndexError, TypeError, OverflowError, RecursionError)
     try:
         with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):
-            _check_formats(path, library.ULog(_Kept(stream), parse_header_only=True).message_formats)
+            size = path.stat().st_size
+            _check_formats(path, library.ULog(_Kept(stream, size), parse_header_only=True).message_formats)
             stream.seek(0)
-            kept = _Kept(stream)
+            kept = _Kept(stream, size)
             log = library.ULog(kept, message_name_filter_list=list(TOPICS))
             given_up = bool(stream.read(1))  # it stops without a word at some kinds of damage
     except faults as error:
@@ -91,15 +93,22 @@ def _load(path: Path, library: Any, warnings: list[Warn]) -> Any:
 
 
 class _Kept:
-    """A stream that outlives pyulog, which closes what it reads, and that knows of a record cut short."""
+    """A stream that outlives pyulog, which closes what it reads, and that knows of a record cut short.
 
-    def __init__(self, stream: BinaryIO) -> None:
+    Damage can send pyulog back to where it was, for ever: what it may read in all is limited.
+    """
+
+    def __init__(self, stream: BinaryIO, size: int) -> None:
         self._stream, self.seek, self.tell = stream, stream.seek, stream.tell
         self.cut = False
+        self._left = MOST_READ * (size + HEAD_BYTES)
 
     def read(self, size: int) -> bytes:
         """Read, and note whether all that was asked for is there; no head of a record is the end of the file."""
         data = self._stream.read(size)
+        self._left -= len(data) + 1
+        if self._left < 0:
+            raise ValueError("a record that leads back to itself")
         self.cut = len(data) < size and (bool(data) or size > HEAD_BYTES)
         return data
 

@@ -28,6 +28,7 @@ SENSOR_NAMES = {
     "magnetometer": "magnetometer",
     "orientation": "orientation",
 }
+POSITIONS = {"gps", "gps_velocity", "position"}
 BY_NIS = {"smaller": "are better than", "fits": "fit", "larger": "are worse than"}
 
 
@@ -73,7 +74,7 @@ def build(run: Run) -> dict[str, Any]:
         "body": dict(run.body),
         "statistics": statistics,
         "advice": {k: run.advice[k] for k in ("threshold_deg", "axis", "lines")},
-        "warnings": [{"code": w.code, "message": w.message, "hint": w.hint, "lost": w.lost} for w in run.warnings],
+        "warnings": [asdict(w) for w in run.warnings],
         "checks": sorted(checks, key=lambda c: ("FAIL", "WARN", "PASS").index(c["status"])),
         "gaps": [[float(a), float(b)] for a, b in run.log.gaps],
         "shown": [asdict(shown) for shown in run.est.shown],
@@ -240,7 +241,7 @@ def _check(name: str, good: bool, fact: str, detail: str, *, fatal: bool = False
 
 def _checks(run: Run, statistics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the lines of "What to know": warnings of the log first, then what the run found out about itself."""
-    lines = [_check(w.code, False, _sentence(w.message), w.hint) for w in run.warnings]
+    lines = [_check(w.code, False, _sentence(w.message), w.hint, fatal=w.fatal) for w in run.warnings]
     lines += _separation_check(statistics) + _innovation_checks(run.est.forward.innovations)
     others = (_position_check(run, statistics), _advice_check(run), _data_check(run, statistics["jitter_ms"]))
     lines += [check for check in others if check is not None]
@@ -270,10 +271,10 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
     lines = []
     for role, s in _innovations(found).items():
         name = role.replace("_", " ")
-        if s["rejected"]:
+        if s["rejected"] > (role == "zero_rate"):  # one may be the edge of a stop
             status = rejection_status(s["rejected"], s["count"])
             fact = f"{s['rejected']} of {s['count']} {name} measurements rejected"
-            fatal = status == "FAIL"
+            fatal = status == "FAIL" or (role == "gravity" and status == "WARN")  # it is never an outlier
             detail = "they contradict the rest of the log: its sigma does not hold" if fatal else "see the innovations"
             lines.append(_check(f"rejected-{role}", status == "PASS", fact, detail, fatal=fatal))
         if s["used"] < FEW:
@@ -290,7 +291,7 @@ def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:
     if run.position is None or not run.segmentation.motions or "position_sigma_max_m" not in s or s["position_usable"]:
         return None
     reach = f"its sigma reaches {s['position_sigma_max_m']:.0f} m"
-    if run.position.method == "odometry":
+    if run.position.method == "odometry" or POSITIONS & run.log.fixes.keys():
         return _check("position", False, "Position is not usable", f"{reach}, more than 10 % of the distance")
     return _check("position", False, "Position is not usable: no sensor aids it", f"{reach}; odometry would hold it")
 

@@ -55,7 +55,10 @@ def page(result: Result, pictures: Sequence[Picture]) -> str:
             (f"<div><dt>{_h(value)}</dt><dd>{_h(words)}</dd></div>" for value, words, _ in key_numbers(Drive(result))),
         ),
         _notes("What to know", ((c["status"], c["fact"], c["detail"]) for c in report["checks"])),
-        _notes("Warnings", (("FAIL" if w["lost"] else "WARN", w["message"], w["hint"]) for w in report["warnings"])),
+        _notes(
+            "Warnings",
+            (("FAIL" if w["lost"] or w.get("fatal") else "WARN", w["message"], w["hint"]) for w in report["warnings"]),
+        ),
         _notes("When to stop", (("PASS", line, "") for line in (report.get("advice") or {}).get("lines", ()))),
         *map(_figure, pictures),
         _segments(result.segments),

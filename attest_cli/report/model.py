@@ -154,12 +154,13 @@ class Advice(Part):
 
 
 class Warned(Part):
-    """Something the user should know; ``lost``: data was lost."""
+    """Something the user should know; ``lost``: data was lost; ``fatal``: sigma does not hold."""
 
     code: str
     message: str
     hint: str = ""
     lost: bool = False
+    fatal: bool = False
 
 
 class Check(Part):

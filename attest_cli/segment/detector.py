@@ -13,6 +13,7 @@ from .aids import inside_stops, read_stops, wheels_turn
 from .stillness import (
     BIAS_WALK,
     GYRO_DRIFT,
+    LONE_STOP_S,
     Quiet,
     Thresholds,
     agreeing,
@@ -26,6 +27,7 @@ from .stillness import (
     window_moments,
 )
 
+FAST = 20.0  # times the largest bias that is believed: where nothing else is quiet, it is asked about
 RARE = 0.1  # share of the log below which stops are doubted when the noise is not stated
 
 
@@ -76,6 +78,9 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         still[:] = False  # the noise was taken from the motion itself, of which these are the calmest moments
         margin = math.nan
     segments = as_segments(still, imu.t, edges, stops.window_s / 2)
+    told = doubts(still, limits, margin, found, quiet)
+    if not found.start.size:
+        told += fast(quiet_intervals(windows, sigmas, limits.enter, turning, settings, FAST))
     return Segmentation(
         segments=segments,
         statistic=statistic,
@@ -84,8 +89,19 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         bias_b=imu.gyro_b[still].mean(axis=0) if still.any() else np.zeros(3),
         margin=margin,
         source="file" if stops.file is not None else "odometry" if turning.any() else "imu",
-        warnings=() if stops.file is not None else doubts(still, limits, margin, found, quiet),
+        warnings=told if stops.file is None else (),
     )
+
+
+def fast(wide: Quiet) -> tuple[Warn, ...]:
+    """Say where a log without a quiet interval has one whose rate is beyond what a bias may be."""
+    long = wide.end - wide.start >= LONE_STOP_S
+    if not long.any():
+        return ()
+    k = int(np.argmax(np.where(long, wide.blocks, 0.0)))
+    rate, span = np.degrees(np.linalg.norm(wide.rate[k])), f"from {wide.start[k]:.0f} to {wide.end[k]:.0f} s"
+    message = f"{span} nothing changes but the gyro reads {rate:.1f} deg/s: a bias beyond imu.gyro_bias_sigma?"
+    return (Warn("gyro-bias", message, "state imu.gyro_bias_sigma as large as the bias may be"),)
 
 
 def margin_of(statistic: Array, still: Bools, enter: float) -> float:
@@ -131,7 +147,13 @@ def doubts(still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet:
         times = f"{limits.enter / limits.noise:.{0 if limits.enter > 10 * limits.noise else 1}f}"
         fact = f"the sensors shake at the stops (engine, wind?): the stop threshold is {times} times the noise"
         warnings.append(Warn("stop-shakes", fact, f"if nothing shook, state the noise under [imu], or {by_hand}"))
+    other = ~np.isin(found.start, quiet.start) & (found.end - found.start >= LONE_STOP_S)
     if quiet.start.size == 1 and found.start.size > 1:
         fact = "only one quiet interval supports the gyro's bias, others contradict it"
         warnings.append(Warn("stop-bias", fact, f"a smooth turn can look like a stop: check, or {by_hand}"))
+    elif quiet.start.size and other.any():
+        count, total = np.count_nonzero(other), found.start.size
+        fact = f"{count} of {total} quiet intervals contradict the gyro's bias of the others: taken as motion"
+        hint = f"a smooth turn looks like a stop, but so does a stop after the bias has moved: check, or {by_hand}"
+        warnings.append(Warn("stop-bias", fact, hint))
     return tuple(warnings)

@@ -164,14 +164,17 @@ def own_spread(windows: Windows, sigmas: tuple[float, float]) -> Array:
 
 
 def quiet_intervals(
-    windows: Windows, sigmas: tuple[float, float], enter: float, turning: Bools, settings: Settings
-) -> Quiet:
-    """Sequences of calm blocks whose means do not change from one to the next, at a rate that a bias can have."""
+    windows: Windows, sigmas: tuple[float, float], enter: float, turning: Bools, settings: Settings,
+    factor: float = 1.0,
+) -> Quiet:  # fmt: skip
+    """Sequences of calm blocks whose means do not change from one to the next, at a rate that a bias can have, times
+    ``factor``.
+    """
     blocks = windows.blocks
     spread = own_spread(windows, sigmas)[blocks]
     scale = max(1.0, enter / FLOOR_FACTOR / 6.0)
     rate, force = windows.mean_gyro[blocks], windows.mean_accel[blocks]
-    slow = np.linalg.norm(rate, axis=1) < 3.0 * math.sqrt(3.0) * settings.imu.gyro_bias_sigma
+    slow = np.linalg.norm(rate, axis=1) < 3.0 * math.sqrt(3.0) * factor * settings.imu.gyro_bias_sigma
     calm = (spread < enter) & slow & ~turning[blocks]
     variance_gyro = 2.0 * (scale * sigmas[0] ** 2 / windows.width + GYRO_DRIFT**2)
     variance_accel = 2.0 * (scale * sigmas[1] ** 2 / windows.width + ACCEL_DRIFT**2)

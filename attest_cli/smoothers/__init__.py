@@ -51,11 +51,15 @@ def apply(run: FilterRun, errors: kalman.Errors) -> Smoothed:
     """
     if run.read is not None:
         return run.read(errors)
-    G = np.tile(np.eye(6), (len(run.t), 1, 1))
-    G[:, :3, :3] = rotation.right_jacobian(errors.d[:, :3])
+    n = len(run.t)
     q = rotation.multiply(run.q, rotation.exp_quaternion(errors.d[:, :3]))
-    P = kalman.symmetric(G @ errors.P @ G.swapaxes(1, 2))
-    cross = G[:-1] @ errors.cross @ G[1:].swapaxes(1, 2)
+    P, cross = np.empty((n, 6, 6)), np.empty((n - 1, 6, 6))
+    for rows in kalman.blocks(n):
+        G = np.tile(np.eye(6), (min(rows.stop + 1, n) - rows.start, 1, 1))
+        G[:, :3, :3] = rotation.right_jacobian(errors.d[rows.start : rows.stop + 1, :3])
+        own = G[: rows.stop - rows.start]
+        P[rows] = kalman.symmetric(own @ errors.P[rows] @ own.swapaxes(1, 2))
+        cross[rows] = G[:-1] @ errors.cross[rows] @ G[1:].swapaxes(1, 2)
     return Smoothed(run.t, rotation.normalise(q), run.bias + errors.d[:, 3:], P, cross)
 
 
@@ -79,11 +83,13 @@ def backward_estimate(
         Y[:, :3, :3] += np.einsum("ki,kj->kij", up_b, up_b) / known[:, None, None]
     if run.beforehand is not None:
         Y, y = Y + run.beforehand[0], y + run.beforehand[1]
-    size = np.sqrt(np.maximum(np.einsum("kii->ki", Y), 1e-300))  # makes rad and rad/s comparable
-    known = np.linalg.eigvalsh(Y / (size[:, :, None] * size[:, None, :]))[:, 0] > SINGULAR
-    d, P = np.zeros_like(run.chain.dx), run.chain.P.copy()
-    P[known] = kalman.symmetric(np.linalg.inv(Y[known]))
-    d[known] = np.einsum("kij,kj->ki", P[known], y[known])
+    d, P, known = np.zeros_like(run.chain.dx), run.chain.P.copy(), np.zeros(len(Y), dtype=np.bool_)
+    for rows in kalman.blocks(len(Y)):
+        size = np.sqrt(np.maximum(np.einsum("kii->ki", Y[rows]), 1e-300))  # makes rad and rad/s comparable
+        known[rows] = np.linalg.eigvalsh(Y[rows] / (size[:, :, None] * size[:, None, :]))[:, 0] > SINGULAR
+        at = rows.start + np.flatnonzero(known[rows])
+        P[at] = kalman.symmetric(np.linalg.inv(Y[at]))
+        d[at] = np.einsum("kij,kj->ki", P[at], y[at])
     found = apply(run, kalman.Errors(d, P, np.zeros_like(P[1:])))
     apart = 2.0 * np.arccos(np.clip(np.abs(np.sum(found.q * run.q, axis=1)), 0.0, 1.0))
     spread = np.einsum("kii->k", found.P[:, :3, :3])

@@ -6,8 +6,9 @@ import os
 import re
 import secrets
 import shutil
+import signal
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import AttestError
@@ -43,11 +44,14 @@ def result_folder(
         message = f"{output}: holds files, but no {last} of attest: not a result folder"
         raise AttestError(message, "choose another name with -o, or empty it")
     temporary = output.parent / f".{output.name[:100]}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+    made = [folder for folder in output.parents if not folder.exists()]
     try:
         temporary.mkdir(parents=True)
         yield temporary
+        check_output(output, overwrite=overwrite, inputs=inputs)  # another run may have been faster
         if output.exists():
-            _replace(temporary, output, last)
+            with _undisturbed(output):
+                _replace(temporary, output, last)
         else:
             temporary.rename(output)
     except AttestError as fault:
@@ -58,6 +62,28 @@ def result_folder(
         ) from None
     finally:  # an interrupt leaves nothing behind either
         shutil.rmtree(temporary, ignore_errors=True)
+        with suppress(OSError):  # with a result in them they stay
+            for folder in made:
+                folder.rmdir()
+
+
+@contextmanager
+def _undisturbed(folder: Path) -> Iterator[None]:
+    """Hold off signals and other runs, where the system can, so that a result is of one run alone."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    handle, signals = os.open(folder, os.O_RDONLY), {signal.SIGINT, signal.SIGTERM}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        with suppress(OSError):  # some file systems have no locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _replaceable(folder: Path, last: str) -> bool:
@@ -72,7 +98,10 @@ def _replace(new: Path, old: Path, last: str) -> None:
     """Move the files of ``new`` over those of ``old``."""
     names = sorted((p.relative_to(new).as_posix() for p in new.rglob("*") if p.is_file()), key=lambda n: (n == last, n))
     for name in names:
-        (old / name).parent.mkdir(exist_ok=True)
+        place = (old / name).parent
+        if place != old and place.is_symlink():  # no link leads out of a result
+            place.unlink()
+        place.mkdir(exist_ok=True)
         (new / name).replace(old / name)
     for path in [p for p in old.rglob("*") if p.is_file()]:
         name = path.relative_to(old).as_posix()

@@ -18,7 +18,6 @@ from attest_cli.locate import locate
 from attest_cli.pipeline import read
 from attest_cli.segment import find_segments
 from attest_cli.settings import load_settings
-from attest_cli.track import full_rate
 
 SEMI_MAJOR_M, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # WGS-84
 
@@ -43,11 +42,10 @@ def main() -> None:
     _, log = read([wanted.log], settings)
     segmentation = find_segments(log, settings)
     found = estimate(log, segmentation, settings)
-    q = full_rate(found.nodes, found.smoothed, log.imu.t)
-    place, vehicle, _ = locate(log, segmentation, found, q, settings)
+    place, vehicle, _ = locate(log, segmentation, found, settings)
     gps = log.fixes["gps"]
     truth = level(gps.values)
-    track = np.stack([np.interp(gps.t, log.imu.t, place.p[:, i]) for i in range(2)], axis=1)
+    track = np.stack([np.interp(gps.t, found.smoothed.t, place.p[:, i]) for i in range(2)], axis=1)
     a, b = track - track.mean(axis=0), truth - truth.mean(axis=0)
     turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     turned = a @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])

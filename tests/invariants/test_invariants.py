@@ -21,7 +21,7 @@ from attest_cli.records import Fixes, Imu, Log, Recording
 from attest_cli.segment import find_segments
 from attest_cli.settings import Settings
 from attest_cli.simulate import RoverOptions, Simulation, simulate_rover
-from attest_cli.track import full_rate, world_variance
+from attest_cli.track import world_variance
 
 Array = NDArray[np.float64]
 SENSORS = RoverOptions(seed=61, duration_s=150.0, motions=2, scenario="S2", compass=True, magnetometer=True)
@@ -42,7 +42,7 @@ def job(request: pytest.FixtureRequest, simulation: Simulation) -> tuple[Log, Se
 
 def run(log: Log, options: Settings) -> tuple[Estimate, Array]:
     est = estimate(log, find_segments(log, options), options)
-    return est, full_rate(est.nodes, est.smoothed, log.imu.t)
+    return est, est.q
 
 
 def with_fixes(log: Log, role: str, change: Callable[[Array], Array]) -> Log:
@@ -83,7 +83,7 @@ def test_a_turn_of_the_imu_turns_the_body_only(job: tuple[Log, Settings]) -> Non
     sun = options.sun.model_copy(update={"mounting": tuple(mounting)})
     before, at_rate = run(log, options)
     after, at_rate_after = run(turned, options.model_copy(update={"sun": sun}))
-    assert np.array_equal(before.nodes.t, after.nodes.t)
+    assert np.array_equal(before.smoothed.t, after.smoothed.t)
     assert degrees_apart(rotation.multiply(at_rate, q_turn), at_rate_after) < 1e-9
     one, other = before.smoothed, after.smoothed
     assert np.abs(one.bias @ TURN - other.bias).max() < 1e-11
@@ -126,9 +126,9 @@ def test_rows_norms_and_numbers(job: tuple[Log, Settings]) -> None:
     for q in (at_rate, est.smoothed.q, est.forward.q):
         assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < 1e-12
     assert np.all(np.sum(at_rate[1:] * at_rate[:-1], axis=1) > 0.0)
-    for values in (est.smoothed.bias, est.smoothed.P, est.smoothed.cross, est.forward.chain.P):
+    for values in (est.smoothed.bias, est.smoothed.P, est.smoothed.cross, est.passes["forward"].P):
         assert np.isfinite(values).all()
-    for P in (est.smoothed.P, est.forward.chain.P, est.forward.chain.P_pred):
+    for P in (est.smoothed.P, est.passes["forward"].P):
         assert np.array_equal(P[1:], P[1:].swapaxes(1, 2))
         sigma = np.sqrt(np.einsum("kii->ki", P))
         assert np.linalg.eigvalsh(P / (sigma[:, :, None] * sigma[:, None])).min() > 0.0
@@ -150,7 +150,7 @@ def test_either_sign_of_an_orientation_is_the_same_measurement(simulation: Simul
 def test_the_smoothed_sigma_never_exceeds_the_forward_one(simulation: Simulation) -> None:
     options = effective(simulation, {})
     est, _ = run(prepare([simulation.log], options), options)
-    forward, smoothed = (np.trace(P[:, :3, :3], axis1=1, axis2=2) for P in (est.forward.chain.P, est.smoothed.P))
+    forward, smoothed = (np.trace(P[:, :3, :3], axis1=1, axis2=2) for P in (est.passes["forward"].P, est.smoothed.P))
     assert np.all(smoothed <= forward * (1 + 1e-3))  # the tangents of the two passes differ by their separation
 
 

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from attest_cli.filters.alignment import Start
 from attest_cli.maths import rotation
-from attest_cli.maths.propagation import Steps, preintegrate
+from attest_cli.maths.propagation import Samples, preintegrate
 from attest_cli.nodes import Nodes
 from attest_cli.nodes.noise import Noise
 from attest_cli.sensors import Direction, Measurement
@@ -51,13 +51,13 @@ def draw(rng: np.random.Generator, Q: float = 1.0, R: float = 1.0) -> Case:
     gyro_b = rate + between + rng.normal(0.0, GYRO / np.sqrt(STEP_S), (n, 3))
     first = np.arange(0, n + 1, NODE_STEPS)
     m = len(first) - 1
-    steps = Steps(np.full(n, STEP_S), gyro_b, gyro_b, first)
     at = np.arange(FIX_NODES, m + 1, FIX_NODES)
     groups = tuple(_pair(rng, rotation.matrix(truth[first[k]]), int(k), float(t[first[k]]), sight) for k in at)
     none = np.zeros(m, dtype=np.bool_)
+    samples = Samples(t, np.concatenate([gyro_b[:1], gyro_b]), t[first], first, none, linear=False)
     nodes = Nodes(
-        t=t[first], moving=np.ones(m + 1, dtype=np.bool_), frozen=none, gap=none, steps=steps, sample_step=np.arange(n),
-        increments=preintegrate(steps, np.zeros((m, 3)), gyro**2, walk**2), measured=at, measurements=groups,
+        t=t[first], moving=np.ones(m + 1, dtype=np.bool_), frozen=none, gap=none, samples=samples,
+        increments=preintegrate(samples, np.zeros((m, 3)), gyro**2, walk**2), measured=at, measurements=groups,
         density=np.full(m, gyro**2), noise=Noise(gyro, walk, 1.0, {}),
     )  # fmt: skip
     error = rng.normal(0.0, START_RAD, 3)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from attest_cli.filters import indirect
 from attest_cli.filters.alignment import Start
 from attest_cli.maths import rotation
-from attest_cli.maths.propagation import Increments, Steps, preintegrate
+from attest_cli.maths.propagation import Increments, Samples, preintegrate, transition
 from attest_cli.nodes import Nodes
 from attest_cli.nodes.noise import Noise
 from attest_cli.records import FilterRun
@@ -59,13 +59,13 @@ def vector6(frozen: bool = False) -> Vector6:
         moving[first:last] = False
         still[first : last - 1] = frozen
     at = np.flatnonzero(v["meas_index"] >= 0)
-    steps = Steps(np.diff(t), v["gyro"][:-1], v["gyro"][1:], np.arange(n))
+    samples = Samples(t, v["gyro"], t, np.arange(n), still)
     noise = Noise(float(np.sqrt(v["Nr"])), float(np.sqrt(v["Nw"])), 1.0, {})
     none = np.zeros(n - 1, dtype=np.bool_)
     groups = tuple(_group(v, int(k), frozen) for k in at)
     nodes = Nodes(
-        t=t, moving=moving, frozen=still, gap=none, steps=steps, sample_step=np.arange(n - 1), measured=at,
-        increments=_increments(steps, np.zeros((n - 1, 3)), still, v), measurements=groups,
+        t=t, moving=moving, frozen=still, gap=none, samples=samples, measured=at,
+        increments=_increments(samples, np.zeros((n - 1, 3)), still, v), measurements=groups,
         density=np.full(n - 1, noise.n_r), noise=noise,
     )  # fmt: skip
     return Vector6(v, nodes, Start(wxyz(v["q0"]), v["b0"], v["P0"], "absolute", False))
@@ -85,8 +85,12 @@ def _group(v: Vectors, node: int, frozen: bool) -> tuple[Measurement, ...]:
     return tuple(group)
 
 
-def _increments(steps: Steps, bias: Array, still: NDArray[np.bool_], v: Vectors) -> Increments:
-    inc = preintegrate(steps, bias, float(v["Nr"]), float(v["Nw"]))
+def _increments(samples: Samples, bias: Array, still: NDArray[np.bool_], v: Vectors) -> Increments:
+    """Preintegrate; ``Phi`` and ``Q`` of a step are those of its mean rate, as the vectors have them."""
+    rate, dt = 0.5 * (samples.rate[1:] + samples.rate[:-1]) - bias, np.diff(samples.t)
+    Phi, Q = transition(rate, dt, float(v["Nr"]), float(v["Nw"]))
+    inc = preintegrate(samples, bias, float(v["Nr"]), float(v["Nw"]))
+    inc = replace(inc, Phi=Phi, Q=Q, psi=-Phi[:, :3, 3:])
     span = inc.span[still, None, None] * np.eye(3)
     inc.dq[still], inc.psi[still], inc.Phi[still], inc.Q[still] = [1.0, 0.0, 0.0, 0.0], 0.0, np.eye(6), 0.0
     inc.Q[still, :3, :3], inc.Q[still, 3:, 3:] = FROZEN * span, float(v["Nw"]) * span
@@ -98,7 +102,7 @@ def run_exact(case: Vector6, passes: int = 3) -> FilterRun:
     nodes = case.nodes
     run = indirect.run(nodes, case.start, gate_probability=1.0)
     for _ in range(passes):
-        increments = _increments(nodes.steps, run.bias[:-1].copy(), nodes.frozen, case.data)
+        increments = _increments(nodes.samples, run.bias[:-1].copy(), nodes.frozen, case.data)
         run = indirect.run(replace(nodes, increments=increments), case.start, gate_probability=1.0)
     return run
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from support.drives import Job, simulated
 
 from attest_cli.maths import rotation
-from attest_cli.mounting import Mounting, axes_agree, find_mounting
+from attest_cli.mounting import ENOUGH_S, Mounting, _enough, axes_agree, find_mounting
 from attest_cli.records import Imu
 from attest_cli.simulate import RoverOptions
 
@@ -151,3 +151,10 @@ def test_axes_agree_within_three_degrees_or_three_sigma() -> None:
     assert not axes_agree(turned((0.0, 0.0, 3.1), 0.1))
     assert axes_agree(turned((0.0, 0.0, 8.9), 3.0))
     assert not axes_agree(turned((0.0, 0.0, 9.1), 3.0))
+
+
+def test_a_motion_of_a_day_is_asked_for_a_quarter_of_an_hour(work: Job) -> None:
+    stop, motion = work.segmentation.segments[:2]
+    day = replace(work.segmentation, segments=(stop, replace(motion, end=motion.start + 86_400.0)))
+    assert _enough(day, 1e6) == motion.start + ENOUGH_S
+    assert _enough(work.segmentation, 1e6) == 1e6  # all of a short drive

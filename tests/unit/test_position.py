@@ -14,7 +14,7 @@ from attest_cli import position
 from attest_cli.filters import indirect
 from attest_cli.maths import rotation
 from attest_cli.maths.propagation import transition
-from attest_cli.position import Position
+from attest_cli.position import Position, chain, course, strapdown
 from attest_cli.records import Imu, Smoothed
 from attest_cli.simulate import RoverOptions
 from attest_cli.smoothers import SMOOTHERS
@@ -57,14 +57,20 @@ class Drive:
     def error(self, p: Position, t: Array | None = None) -> Array:
         """Position error at the IMU samples, or at times ``t``."""
         truth = self.work.truth(self.t)
-        e = p.p - (truth.position_n - truth.position_n[0])
+        e = path(p)[0] - (truth.position_n - truth.position_n[0])
         return e if t is None else np.stack([np.interp(t, self.t, e[:, i]) for i in range(3)], axis=1)
+
+
+def path(p: Position) -> tuple[Array, Array]:
+    """Position and velocity at the IMU samples."""
+    blocks = list(p.course())
+    return np.concatenate([b[0] for b in blocks]), np.concatenate([b[1] for b in blocks])
 
 
 def drive(**options: object) -> Drive:
     work = simulated(RoverOptions(**options))  # type: ignore[arg-type]
     smoothed = SMOOTHERS["two-filter"](indirect.run(work.nodes, work.start))
-    return Drive(work, smoothed, full_rate(work.nodes, smoothed, work.log.imu.t))
+    return Drive(work, smoothed, full_rate(work.nodes.samples, smoothed))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +96,7 @@ def test_shaking_in_motion_is_in_sigma(short: Drive) -> None:
     print(f"NEES {told.mean():.1f}, by the noise at rest {untold.mean():.0f}")
     assert 0.5 < told.mean() < 6.0
     assert untold.mean() > 4.0 * told.mean()
-    assert position._shaking([]) == 0.0
+    assert strapdown._shaking([]) == 0.0
 
 
 def test_closing_velocities_that_fit_ask_for_no_shaking() -> None:
@@ -98,10 +104,10 @@ def test_closing_velocities_that_fit_ask_for_no_shaking() -> None:
     for _ in range(100):
         root = np.tril(rng.normal(0.0, 0.1, (3, 3)))
         closings = [(root @ rng.normal(size=3), root @ root.T, 40.0) for _ in range(4)]
-        raised += position._shaking(closings) > 0.0
+        raised += strapdown._shaking(closings) > 0.0
     assert raised <= 10
     shaken = [(rng.normal(0.0, 0.3 * np.sqrt(40.0), 3), 1e-4 * np.eye(3), 40.0) for _ in range(200)]
-    assert position._shaking(shaken) == pytest.approx(0.3, rel=0.1)
+    assert strapdown._shaking(shaken) == pytest.approx(0.3, rel=0.1)
 
 
 @pytest.mark.parametrize(("literal", "limit"), [(False, 1e-4), (True, 1e-2)])
@@ -109,18 +115,18 @@ def test_true_attitude_and_force_give_the_true_path(short: Drive, literal: bool,
     """A hundred seconds without sensor errors: strapdown to 0.1 mm, the paper's Euler steps to a centimetre."""
     truth = short.work.truth(short.t)
     found = short.inertial(truth.q_nb, replace(short.work.log.imu, accel_b=truth.force_b), literal)
-    known = np.isfinite(found.p[:, 0])
+    known = np.isfinite(path(found)[0][:, 0])
     error = np.abs(short.error(found)[known]).max()
     print(f"literal {literal}: position error {error:.1e} m")
     assert known.mean() > 0.97
     assert error < limit
-    assert np.abs(found.v[known] - truth.velocity_n[known]).max() < (
+    assert np.abs(path(found)[1][known] - truth.velocity_n[known]).max() < (
         2e-3 if not literal else 2e-2
     )  # vibration between two samples
     assert found.method == ("literal" if literal else "strapdown")
-    path = np.linalg.norm(np.diff(truth.position_n, axis=0), axis=1)
+    length = np.linalg.norm(np.diff(truth.position_n, axis=0), axis=1)
     for s in short.work.segmentation.motions:
-        assert found.distance[s.index] == pytest.approx(path[s.first : s.last].sum(), rel=0.01)
+        assert found.distance[s.index] == pytest.approx(length[s.first : s.last].sum(), rel=0.01)
 
 
 def test_strapdown_is_better_than_literal_steps(short: Drive) -> None:
@@ -134,8 +140,8 @@ def test_a_stop_holds_position_and_velocity(short: Drive) -> None:
     found = short.inertial()
     for s in short.work.segmentation.stops:
         rows = (short.t > s.used_start + 0.01) & (short.t < s.used_end - 0.01)
-        assert np.ptp(found.p[rows], axis=0).max() < 1e-12
-        assert not found.v[rows].any()
+        assert np.ptp(path(found)[0][rows], axis=0).max() < 1e-12
+        assert not path(found)[1][rows].any()
     assert set(found.closing) == {s.index for s in short.work.segmentation.motions}
     assert all(0.0 < v < 1.0 for v in found.closing.values())
 
@@ -202,7 +208,7 @@ def test_odometry_follows_the_vehicle_not_the_imu(short: Drive) -> None:
     turned = replace(short, q=rotation.multiply(short.q, rotation.conjugate(q_bv)))
     smoothed = replace(short.smoothed, q=rotation.multiply(short.smoothed.q, rotation.conjugate(q_bv)))
     found, straight = replace(turned, smoothed=smoothed).odometry(q_bv), short.odometry()
-    assert np.abs(found.p - straight.p).max() < 1e-9
+    assert np.abs(path(found)[0] - path(straight)[0]).max() < 1e-9
 
 
 def test_a_speed_without_sides_is_forward_speed(short: Drive) -> None:
@@ -223,46 +229,76 @@ def test_a_long_inertial_drive_says_that_it_is_not_usable() -> None:
     assert np.sqrt(np.nanmax(found.P[:, 0, 0] + found.P[:, 1, 1])) > 0.1 * sum(found.distance.values())
 
 
+@pytest.mark.parametrize("how", ["strapdown", "literal", "odometry", "navigation"])
+def test_blocks_of_samples_and_nodes_change_nothing(short: Drive, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    n = len(short.t)
+    v = np.cumsum(np.random.default_rng(1).normal(size=(len(short.smoothed.t), 3)), axis=0)
+    navigated = replace(short.smoothed, v=v, p=0.1 * v, P_vp=short.smoothed.P)
+
+    def found() -> Position:
+        if how == "navigation":
+            return position.navigated(short.t, navigated, short.work.segmentation)
+        return short.odometry() if how == "odometry" else short.inertial(literal=how == "literal")
+
+    monkeypatch.setattr(course, "BLOCK_ROWS", n)
+    monkeypatch.setattr(chain, "BLOCK_NODES", n)
+    whole = found()
+    course_of_whole = path(whole)
+    assert len(list(whole.course())) == 1
+    monkeypatch.setattr(course, "BLOCK_ROWS", 777)
+    monkeypatch.setattr(chain, "BLOCK_NODES", 100)
+    parts = found()
+    assert len(list(parts.course())) == -(-n // 777)
+    for a, b in zip(course_of_whole, path(parts), strict=True):
+        assert np.array_equal(a, b, equal_nan=True)
+    assert np.array_equal(whole.p, parts.p, equal_nan=True)
+    assert np.allclose(whole.P, parts.P, rtol=1e-12, atol=1e-14, equal_nan=True)
+    assert parts.distance == pytest.approx(whole.distance, rel=1e-12)
+    inside = np.searchsorted(short.t, short.smoothed.t)
+    on = short.t[np.minimum(inside, n - 1)] == short.smoothed.t
+    assert np.array_equal(course_of_whole[0][inside[on]], whole.p[on], equal_nan=True)
+
+
 def test_usable_is_a_tenth_of_the_distance() -> None:
     P = np.zeros((3, 3, 3))
     P[2, 0, 0], P[2, 1, 1], P[2, 2, 2] = 0.36, 0.64, 100.0  # one metre on the ground
-    assert position._usable(P, {2: 6.0, 4: 4.001})
-    assert not position._usable(P, {2: 6.0, 4: 3.999})
-    assert not position._usable(np.full((3, 3, 3), np.nan), {})
+    assert course.usable(P, {2: 6.0, 4: 4.001})
+    assert not course.usable(P, {2: 6.0, 4: 3.999})
+    assert not course.usable(np.full((3, 3, 3), np.nan), {})
 
 
 def test_a_log_that_starts_in_motion_has_no_inertial_position_before_its_first_stop(short: Drive) -> None:
     segmentation = replace(short.work.segmentation, segments=short.work.segmentation.segments[1:])
     found = replace(short, work=replace(short.work, segmentation=segmentation)).inertial()
     first = segmentation.stops[0]
-    assert np.isnan(found.p[short.t < first.start - 0.1]).all()
+    assert np.isnan(path(found)[0][short.t < first.start - 0.1]).all()
     after = (short.t > first.start + 0.1) & (short.t < segmentation.stops[-1].used_end - 0.1)
-    assert np.isfinite(found.p[after]).all()
+    assert np.isfinite(path(found)[0][after]).all()
 
 
 def test_the_error_chain_is_the_smoothers_own(short: Drive) -> None:
     """``P`` and lag-one covariances come back from ``F`` and ``W``."""
-    chain, s = position.markov(short.smoothed), short.smoothed
+    errors, s = position.markov(short.smoothed), short.smoothed
     R = rotation.matrix(s.q)
     T = np.zeros((len(s.t), 6, 6))
     T[:, :3, :3], T[:, 3:, 3:] = R, np.eye(3)
-    assert np.allclose(chain.P, T @ s.P @ T.swapaxes(1, 2), rtol=1e-9, atol=1e-20)
-    again = chain.F @ chain.P[:-1] @ chain.F.swapaxes(1, 2) + chain.W
-    sigma = np.sqrt(np.einsum("kii->ki", chain.P))
-    assert np.abs((again - chain.P[1:]) / (sigma[1:, :, None] * sigma[1:, None])).max() < 1e-9
-    back = chain.P[:-1] @ chain.F.swapaxes(1, 2)
+    assert np.allclose(errors.P, T @ s.P @ T.swapaxes(1, 2), rtol=1e-9, atol=1e-20)
+    again = errors.F @ errors.P[:-1] @ errors.F.swapaxes(1, 2) + errors.W
+    sigma = np.sqrt(np.einsum("kii->ki", errors.P))
+    assert np.abs((again - errors.P[1:]) / (sigma[1:, :, None] * sigma[1:, None])).max() < 1e-9
+    back = errors.P[:-1] @ errors.F.swapaxes(1, 2)
     assert (
         np.abs((back - T[:-1] @ s.cross @ T[1:].swapaxes(1, 2)) / (sigma[:-1, :, None] * sigma[1:, None])).max() < 1e-9
     )
-    assert np.linalg.eigvalsh(chain.W / (sigma[1:, :, None] * sigma[1:, None])).min() > -1e-9
+    assert np.linalg.eigvalsh(errors.W / (sigma[1:, :, None] * sigma[1:, None])).min() > -1e-9
 
 
 def test_the_chain_of_a_forward_pass_turns_with_the_gyro() -> None:
     d = drive(seed=302, motions=1, motion_s=(20.0, 25.0))
     run = indirect.run(d.work.nodes, d.work.start)
-    chain = position.markov(SMOOTHERS["none"](run))
+    errors = position.markov(SMOOTHERS["none"](run))
     k = int(np.flatnonzero(run.moving)[20])
     R = rotation.matrix(run.q)
     Phi, _ = transition(np.zeros((1, 3)), np.array([run.t[k + 1] - run.t[k]]), 0.0, 0.0)
-    assert np.allclose(chain.F[k][:3, :3], np.eye(3), atol=1e-6)  # about world axes an attitude error stays
-    assert np.allclose(chain.F[k][:3, 3:], R[k] @ Phi[0][:3, 3:], atol=1e-3)
+    assert np.allclose(errors.F[k][:3, :3], np.eye(3), atol=1e-6)  # about world axes an attitude error stays
+    assert np.allclose(errors.F[k][:3, 3:], R[k] @ Phi[0][:3, 3:], atol=1e-3)

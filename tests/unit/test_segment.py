@@ -169,6 +169,21 @@ def test_smooth_turn_longer_than_all_stops_is_motion() -> None:
     assert [round(s.start) for s in found.stops] == [0, 30, 60, 114, 160]
 
 
+@pytest.mark.parametrize(("bias", "codes"), [(0.05, []), (0.3, ["no-stop", "gyro-bias"])])
+def test_a_bias_beyond_what_is_believed_is_asked_about(bias: float, codes: list[str]) -> None:
+    log = still_log(30.0, rate_b=np.full(3000, bias))
+    assert [w.code for w in find_segments(log, Settings()).warnings] == codes
+
+
+def test_a_stop_after_the_bias_has_moved_is_said() -> None:
+    t = np.arange(0.0, 120.0, 0.01)
+    driving = np.where((t > 20.0) & (t < 35.0) | (t > 60.0) & (t < 80.0), 0.2 * np.sin(2.0 * t), 0.0)
+    sound = find_segments(still_log(120.0, rate_b=driving), Settings())
+    assert [len(sound.stops), sound.warnings] == [3, ()]
+    moved = find_segments(still_log(120.0, rate_b=driving + 0.01 * (t > 70.0)), Settings())
+    assert "stop-bias" in [w.code for w in moved.warnings]
+
+
 def test_gap_splits_segments() -> None:
     simulation, log, settings = drive(207)
     middle = simulation.stops[1].mean()

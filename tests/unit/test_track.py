@@ -32,7 +32,7 @@ def smoothed(work: Job) -> Smoothed:
 
 def test_the_track_goes_through_the_nodes(work: Job, smoothed: Smoothed) -> None:
     t = work.log.imu.t
-    found = full_rate(work.nodes, smoothed, t)
+    found = full_rate(work.nodes.samples, smoothed)
     at = np.clip(np.searchsorted(t, smoothed.t - 1e-6), 0, len(t) - 1)
     same = np.abs(t[at] - smoothed.t) < 1e-6
     assert same.sum() > 20
@@ -41,7 +41,7 @@ def test_the_track_goes_through_the_nodes(work: Job, smoothed: Smoothed) -> None
 
 def test_full_rate_is_as_good_as_the_nodes(work: Job, smoothed: Smoothed) -> None:
     t = work.log.imu.t
-    found = full_rate(work.nodes, smoothed, t)
+    found = full_rate(work.nodes.samples, smoothed)
     error = np.linalg.norm(work.errors(t, found, np.zeros((len(t), 3)))[:, :3], axis=1)
     at_nodes = np.linalg.norm(work.errors(smoothed.t, smoothed.q, smoothed.bias)[:, :3], axis=1)
     moving, moving_nodes = work.truth(t).moving, work.truth(smoothed.t).moving
@@ -57,7 +57,7 @@ def test_without_a_correction_the_track_is_the_gyros(work: Job) -> None:
     bias = np.stack([np.interp(k.t - work.origin, t, work.gyro_bias[:, i]) for i in range(3)], axis=1)
     n = len(k.t)
     exact = Smoothed(work.nodes.t, k.q_nb, bias, np.tile(1e-12 * np.eye(6), (n, 1, 1)), np.zeros((n - 1, 6, 6)))
-    found = full_rate(work.nodes, exact, t)
+    found = full_rate(work.nodes.samples, exact)
     moving = work.truth(t).moving
     error = np.linalg.norm(work.errors(t, found, np.zeros((len(t), 3)))[:, :3], axis=1)[moving]
     assert np.sqrt(np.mean(error**2)) < 2.0 * work.noise.gyro_density * np.sqrt(3 * 0.1)
@@ -70,7 +70,7 @@ def test_the_defect_of_an_interval_is_spread_over_it(work: Job, smoothed: Smooth
     q = smoothed.q.copy()
     q[k] = rotation.multiply(q[k], rotation.exp_quaternion(np.array([1e-3, 0.0, 0.0])))
     t = work.log.imu.t
-    before, after = full_rate(work.nodes, smoothed, t), full_rate(work.nodes, replace(smoothed, q=q), t)
+    before, after = full_rate(work.nodes.samples, smoothed), full_rate(work.nodes.samples, replace(smoothed, q=q))
     moved = np.linalg.norm(rotation.log_quaternion(rotation.multiply(rotation.conjugate(before), after)), axis=1)
     a, b, c = smoothed.t[k - 1 : k + 2]
     outside = (t < a - 1e-9) | (t > c + 1e-9)
@@ -82,16 +82,16 @@ def test_the_defect_of_an_interval_is_spread_over_it(work: Job, smoothed: Smooth
 
 
 def test_signs_are_continuous_and_norms_one(work: Job, smoothed: Smoothed) -> None:
-    found = full_rate(work.nodes, smoothed, work.log.imu.t)
+    found = full_rate(work.nodes.samples, smoothed)
     assert found.shape == (len(work.log.imu.t), 4)
     assert np.all(np.sum(found[1:] * found[:-1], axis=1) > 0)
     assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 1e-12
 
 
 def test_blocks_change_nothing(work: Job, smoothed: Smoothed, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = full_rate(work.nodes, smoothed, work.log.imu.t)
-    monkeypatch.setattr(track, "BLOCK_STEPS", 777)
-    assert np.allclose(full_rate(work.nodes, smoothed, work.log.imu.t), whole, rtol=0, atol=1e-15)
+    whole = full_rate(work.nodes.samples, smoothed)
+    monkeypatch.setattr(track, "BLOCK_ROWS", 777)
+    assert np.allclose(full_rate(work.nodes.samples, smoothed), whole, rtol=0, atol=1e-15)
 
 
 def test_world_variance_turns_the_covariance(rng: np.random.Generator) -> None:

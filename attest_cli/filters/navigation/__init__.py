@@ -68,11 +68,9 @@ def _run(done: Navigated) -> FilterRun:
 
 
 def _scaled(nodes: Nodes, problem: Problem, found: solve.Solution) -> Nodes:
-    """Return the nodes with the gyro's scale taken out of their steps, from which full rate is made."""
+    """Return the nodes with the gyro's scale taken out of their samples, from which full rate is made."""
     if "gyro scale" not in problem.layout:
         return nodes
     M = found.smoothed.x[:, problem.layout.parts["gyro scale"]].mean(axis=0).reshape(3, 3)
-    steps = nodes.steps
-    return replace(
-        nodes, steps=replace(steps, rate0=steps.rate0 - steps.rate0 @ M.T, rate1=steps.rate1 - steps.rate1 @ M.T)
-    )
+    samples = nodes.samples
+    return replace(nodes, samples=replace(samples, rate=samples.rate - samples.rate @ M.T))

@@ -70,16 +70,23 @@ def test_every_measurement_has_the_node_nearest_to_it(work: Job) -> None:
             assert abs(nodes.t[k] - m.t) == np.abs(nodes.t - m.t).min()
 
 
+def sample_steps(work: Job) -> NDArray[np.int64]:
+    """The step that ends at each IMU sample but the first."""
+    grid = np.unique(np.concatenate([work.log.imu.t, work.nodes.t]))
+    return np.searchsorted(grid, work.log.imu.t[1:]) - 1
+
+
 def test_steps_are_the_imu_between_the_nodes(work: Job) -> None:
     nodes, imu = work.nodes, work.log.imu
     ends = np.concatenate([[0.0], np.cumsum(nodes.steps.dt)]) + imu.t[0]
     assert np.allclose(ends[nodes.steps.first], nodes.t, rtol=0, atol=1e-9)
-    assert np.allclose(ends[1:][nodes.sample_step], imu.t[1:], rtol=0, atol=1e-9)
+    sample_step = sample_steps(work)
+    assert np.allclose(ends[1:][sample_step], imu.t[1:], rtol=0, atol=1e-9)
     held = np.repeat(nodes.frozen | nodes.gap, nodes.steps.count)
     assert not nodes.steps.rate0[held].any()
     assert not nodes.steps.rate1[held].any()
-    samples = nodes.sample_step[~held[nodes.sample_step]]
-    rows = np.flatnonzero(~held[nodes.sample_step]) + 1
+    samples = sample_step[~held[sample_step]]
+    rows = np.flatnonzero(~held[sample_step]) + 1
     assert np.allclose(nodes.steps.rate1[samples], imu.gyro_b[rows], atol=1e-12)
 
 
@@ -87,7 +94,7 @@ def test_interval_rule_holds_each_sample_over_the_time_before_it() -> None:
     work = simulated(OPTIONS, imu={"gyro_samples": "interval"})
     steps, frozen = work.nodes.steps, np.repeat(work.nodes.frozen, work.nodes.steps.count)
     assert np.array_equal(steps.rate0, steps.rate1)
-    at = work.nodes.sample_step
+    at = sample_steps(work)
     rows = np.flatnonzero(~frozen[at]) + 1
     assert np.array_equal(steps.rate0[at[rows - 1]], work.log.imu.gyro_b[rows])
 
@@ -247,7 +254,7 @@ def test_node_filter_is_the_per_sample_filter() -> None:
     sigma = np.sqrt(np.einsum("kii->ki", P))
     drift = np.abs((run.bias - bias) / sigma[:, 3:]).max()
     print(f"node filter against per-sample filter: {turn:.1e} rad, {drift:.1e} sigma of bias")
-    assert turn < 1e-9
+    assert turn < 1e-8  # the bias Jacobian of a node is exact, that of single steps is of their mean rates
     assert drift < 1e-5
     assert np.abs((run.chain.P - P) / (sigma[:, :, None] * sigma[:, None])).max() < 1e-5
 
@@ -274,7 +281,7 @@ def test_coarser_nodes_change_neither_attitude_nor_sigma(monkeypatch: pytest.Mon
         monkeypatch.setattr("attest_cli.nodes.PAGE_NODES", least)
         work = simulated(options)
         smoothed = SMOOTHERS["two-filter"](indirect.run(work.nodes, work.start))
-        t, q = work.log.imu.t, full_rate(work.nodes, smoothed, work.log.imu.t)
+        t, q = work.log.imu.t, full_rate(work.nodes.samples, smoothed)
         variance = np.einsum("kii->ki", world_variance(smoothed.q, smoothed.P))
         at = np.stack([np.interp(t, work.nodes.t, variance[:, i]) for i in range(3)], axis=1)
         found.append((len(work.nodes.t), q, np.sqrt(at)))

@@ -104,11 +104,12 @@ def test_the_turning_of_gravity_tells_degrees_from_radians(
     assert [w.code for w in warnings] == ([code] if code else [])
 
 
-def test_a_gyro_with_its_signs_reversed_is_said(rng: np.random.Generator) -> None:
+def test_a_gyro_with_its_signs_reversed_keeps_its_unit(rng: np.random.Generator) -> None:
     gyro, accel = moving(rng)
     warnings: list[Warn] = []
-    units.gyroscope(channel("gyro", -gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings)
-    assert [w.code for w in warnings] == ["gyro-against-accel"]
+    found = units.gyroscope(channel("gyro", -gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings)
+    assert not warnings  # prepare.axes says it
+    np.testing.assert_array_equal(found, -gyro)
 
 
 def test_at_rest_nothing_is_told_and_radians_are_assumed_aloud(rng: np.random.Generator) -> None:
@@ -232,3 +233,12 @@ def test_a_column_without_a_unit_has_that_of_its_neighbours() -> None:
 @pytest.mark.parametrize(("value", "text"), [(5e-5, "0.00005"), (123456.0, "123500"), (980.665, "980.7"), (0.0, "0")])
 def test_numbers_in_words_have_no_exponent(value: float, text: str) -> None:
     assert units._digits(value) == text
+
+
+@pytest.mark.parametrize(("factor", "codes"), [(1.0, []), (57.3, ["unit-doubted"])])
+def test_degrees_on_the_level_are_asked_about(factor: float, codes: list[str], rng: np.random.Generator) -> None:
+    accel = np.array([0.0, 0.0, G]) + rng.normal(0, 0.3, (N, 3))
+    gyro = factor * np.stack([0.0 * T, 0.0 * T, 0.3 * np.sin(0.2 * T)], axis=1)
+    warnings: list[Warn] = []
+    units.gyroscope(channel("gyro", gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings)
+    assert [w.code for w in warnings] == codes

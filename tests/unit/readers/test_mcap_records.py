@@ -13,8 +13,9 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as PlainWriter
 
 from attest_cli.errors import AttestError
-from attest_cli.readers import read, wires
-from attest_cli.readers.mcap_records import Batch, DamagedError, Message, batches, walk
+from attest_cli.readers import mcap_records, read, wires
+from attest_cli.readers.mcap_chunks import DamagedError
+from attest_cli.readers.mcap_records import Batch, Message, batches, walk
 from attest_cli.records import Recording
 from attest_cli.settings import Settings
 from attest_cli.simulate import RoverOptions, simulate_rover
@@ -155,3 +156,17 @@ def test_a_chunk_that_declares_more_than_an_index_can_hold_is_refused(tmp_path: 
     path.write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", Opcode.CHUNK, len(body)) + body)
     with pytest.raises(AttestError, match="an unreadable chunk"):
         read(path, Settings())
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.9, 0.999, 1.0])
+def test_records_are_found_length_by_length_also_where_many_are_alike(alike: float) -> None:
+    rng, parts, at, expected = np.random.default_rng(2), [], 0, []
+    for _ in range(5000):
+        length = 22 if rng.random() < alike else int(rng.integers(22, 40))
+        expected.append(at)
+        parts.append(struct.pack("<BQ", Opcode.MESSAGE, length) + rng.bytes(length))
+        at += 9 + length
+    data = np.frombuffer(b"".join(parts), np.uint8)
+    assert mcap_records._scan(data, 0, data.size, 0).tolist() == expected
+    with pytest.raises(DamagedError, match="record"):
+        mcap_records._scan(data[:-1], 0, data.size - 1, 0)

@@ -68,3 +68,35 @@ def test_faults_name_the_place_that_was_asked_for(tmp_path: Path, overwrite: boo
     assert fault.value.message.startswith(f"{output}/track.parquet: ")
     assert "tmp" not in fault.value.message.removeprefix(str(tmp_path))
     assert names(tmp_path) == ({"drive.attest/report.json"} if overwrite else set())
+
+
+def test_a_result_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
+    output = tmp_path / "r"
+    slow, fast = result_folder(output), result_folder(output)
+    for run in (slow, fast):
+        filled(run.__enter__(), f"track.{'csv' if run is slow else 'parquet'}")
+    fast.__exit__(None, None, None)
+    with pytest.raises(AttestError, match="exists already"):
+        slow.__exit__(None, None, None)
+    assert names(tmp_path) == {"r/report.json", "r/track.parquet"}
+
+
+def test_a_link_within_a_result_leads_nowhere(tmp_path: Path) -> None:
+    filled(tmp_path / "r", "track.csv")
+    elsewhere, victim = tmp_path / "elsewhere", tmp_path / "victim"
+    filled(elsewhere, "01-overview.png")
+    victim.write_text("precious")
+    (tmp_path / "r" / "report").symlink_to(elsewhere)
+    (tmp_path / "r" / "segments.csv").symlink_to(victim)
+    with result_folder(tmp_path / "r", overwrite=True) as folder:
+        filled(folder, "report/01-overview.png", "segments.csv")
+    assert (elsewhere / "01-overview.png").read_text() == "01-overview.png"
+    assert victim.read_text() == "precious"
+    assert (tmp_path / "r" / "report" / "01-overview.png").read_text() == "report/01-overview.png"
+
+
+def test_folders_made_on_the_way_go_with_a_result_that_failed(tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    with pytest.raises(ZeroDivisionError), result_folder(tmp_path / "kept" / "new" / "deep" / "r"):
+        _ = 1 / 0
+    assert [path.name for path in tmp_path.rglob("*")] == ["kept"]

@@ -1,0 +1,60 @@
+"""Whether a magnetometer shows the Earth's field: its size, and its angle to gravity at the stops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..records import Array, Fixes, Log, Segmentation, Warn, World
+
+SIZE_OFF, DIP_OFF = 0.1, np.radians(5.0)  # share of the field, rad: what a calibrated sensor out of doors keeps to
+NORMALISED = 1e-3  # spread of a field whose size was taken out
+MAD = 1.4826
+FEW = 10
+STEEPEST = 0.2  # least horizontal share of the field that a heading is told from
+HINT = "attest calibrate-bias finds its iron; away from steel and motors it would be better; heading counts less"
+
+
+def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: World) -> tuple[float, list[Warn]]:
+    r"""Return what heading may be off, rad, by iron, and say so, where size or dip of the field cannot be the Earth's.
+
+    Size against the reference where there is one, else against its own median; dip, the angle below the level, against
+    the reference, else from stop to stop. An offset of a share :math:`\epsilon` of the field turns heading by
+    :math:`\epsilon F/H` at most, with its horizontal part ``H``.
+    """
+    sizes = np.linalg.norm(fixes.values, axis=1)
+    if len(sizes) < FEW or not np.median(sizes) > 0.0:
+        return 0.0, []
+    sines = _dips(fixes, log, segmentation)
+    reference = world.field_n
+    usual = float(np.median(sizes))
+    spread = MAD * float(np.median(np.abs(sizes / usual - 1.0)))
+    size_off, dip_off = spread, float(np.ptp(np.arcsin(sines))) if len(sines) else 0.0
+    level = float(np.sqrt(1.0 - np.median(sines) ** 2)) if len(sines) else 1.0
+    if reference is not None:
+        whole = float(np.linalg.norm(reference))
+        level = float(np.hypot(reference[0], reference[1])) / whole
+        if spread > NORMALISED:
+            size_off = max(spread, abs(usual / whole - 1.0))
+        if len(sines):
+            dip_off = float(np.max(np.abs(np.arcsin(sines) - np.arcsin(-reference[2] / whole))))
+    facts = [f"its size is {100 * size_off:.0f} % off"] if size_off > SIZE_OFF else []
+    facts += [f"its dip at the stops is {np.degrees(dip_off):.0f} deg off"] if dip_off > DIP_OFF else []
+    if not facts:
+        return 0.0, []
+    told = Warn("magnetometer-uncalibrated", f"the magnetic field is not the Earth's: {' and '.join(facts)}", HINT)
+    return max(size_off, float(np.sin(min(dip_off, 0.5 * np.pi)))) / max(level, STEEPEST), [told]
+
+
+def _dips(fixes: Fixes, log: Log, segmentation: Segmentation) -> Array:
+    """Return the sine of the dip (k,) at the stops that have measurements."""
+    out = []
+    for s in segmentation.stops:
+        rows = (fixes.t >= s.used_start) & (fixes.t <= s.used_end)
+        lo, hi = np.searchsorted(log.imu.t, [s.used_start, s.used_end])
+        if not rows.any() or hi - lo < 3:
+            continue
+        field, up = np.median(fixes.values[rows], axis=0), log.imu.accel_b[lo:hi].mean(axis=0)
+        size = float(np.linalg.norm(field) * np.linalg.norm(up))
+        if size > 0.0:
+            out.append(-float(field @ up) / size)
+    return np.asarray(np.clip(np.array(out), -1.0, 1.0))

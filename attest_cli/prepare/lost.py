@@ -1,0 +1,51 @@
+"""Lost samples: what bridging a short hole costs, told by bridging as many samples where none are lost."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..records import Array
+
+MISSING = 1.5  # periods: a longer step has lost a sample
+AROUND_S = 3.0  # the drive is alike so near to a hole
+EVEN = 0.25  # of its length: a stretch without a hole keeps its time
+FEW = 10  # stretches that tell nothing: all of the log is asked
+
+
+def bridged(t: Array, gyro: Array, longest_s: float) -> Array | None:
+    r"""Return the noise density (n,), rad/s/sqrt(Hz), of samples beside a hole of up to ``longest_s``; 0 elsewhere.
+
+    The gyro is taken as linear across :math:`m` lost samples. Where none are lost, doing so errs by
+    :math:`e=T\sum_{i=1}^m(\omega_i-\bar\omega_i)`; the mean square of it around a hole is spread over the hole and half
+    a period on either side. None where nothing is lost, so that what is recorded is used as it is.
+    """
+    step = np.diff(t)
+    period = float(np.median(step))
+    holes = np.flatnonzero((step > MISSING * period) & (step <= longest_s))
+    if not holes.size:
+        return None
+    count = np.rint(step[holes] / period).astype(np.int64) - 1
+    sizes = np.unique(np.ceil(np.geomspace(1, max(count.max(), 1), 12)).astype(np.int64))
+    density = np.zeros(len(t))
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(gyro, axis=0)])
+    for below, size in zip(np.append(0, sizes[:-1]), sizes, strict=True):
+        mine = holes[(count > below) & (count <= size)]
+        if not mine.size or len(t) < size + 2:
+            continue
+        inner = total[size + 1 : -1] - total[1 : -size - 1]
+        ends = 0.5 * size * (gyro[size + 1 :] + gyro[: -size - 1])
+        even = np.abs(t[size + 1 :] - t[: -size - 1] - (size + 1) * period) < EVEN * (size + 1) * period
+        square = np.where(even, np.mean((inner - ends) ** 2, axis=1), 0.0) * period**2
+        d = np.sqrt(_mean_around(t, t[mine], square, even) / (step[mine] + period))
+        np.maximum.at(density, mine, d)
+        np.maximum.at(density, mine + 1, d)
+    return density
+
+
+def _mean_around(t: Array, at: Array, square: Array, known: Array) -> Array:
+    """Return the mean of the known squares around instants; of all where too few are near."""
+    counts, sums = (np.concatenate([[0.0], np.cumsum(x)]) for x in (known, square))
+    low, high = (np.clip(np.searchsorted(t, at + side * AROUND_S), 0, len(square)) for side in (-1.0, 1.0))
+    near, summed = counts[high] - counts[low], sums[high] - sums[low]
+    whole = sums[-1] / max(counts[-1], 1.0)
+    return np.asarray(np.where(near >= FEW, summed / np.maximum(near, 1.0), whole))

@@ -1,0 +1,97 @@
+"""Stuck and frozen axes: a sensor whose noise stops has stopped to measure; it has not come to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..records import Array, Bools, Ints, Warn
+from .clipping import BAND, LONGEST_S
+
+STUCK_S, LEAST_ROWS = 0.4, 8  # of equal values
+USUAL = 0.25  # of such a run: values that often repeat for longer are too coarse to tell
+LIVELY = 0.25  # share of the rows that must change
+BESIDE, ABRUPT = 3, 0.05  # steps on either side, share of a usual one: noise-free simulations come to rest smoothly
+COARSE_RAD_S = 2e-3  # 16 bits over 2000 deg/s are half of it
+COARSE, QUANTA = 1e-3, 3.5  # of a usual step; a coarse sensor at rest holds its value until it changes by one
+
+
+def stuck(t: Array, values: Array) -> list[Bools]:
+    """Tell, for each column of ``values`` (n, k), the rows (n,) that repeat the row before in a run of 0.4 s or longer.
+
+    Not in a column that is coarse or constant, nor at the end of its range, where it is clipped.
+    """
+    return [_stuck(t, np.ascontiguousarray(column)) for column in values.T]
+
+
+def dead(values: Array) -> Bools:
+    """Tell which columns (k,) never change, beside others that do."""
+    constant = np.ptp(values, axis=0) == 0.0
+    return np.asarray(constant & ~constant.all())
+
+
+def told(name: str, columns: Sequence[str], found: Sequence[Bools], t: Array) -> list[Warn]:
+    """Say which columns are stuck, for how long, and since when."""
+    rows = np.logical_or.reduce(found)
+    if not rows.any():
+        return []
+    period, which = float(np.median(np.diff(t))), [c for c, bad in zip(columns, found, strict=True) if bad.any()]
+    first = float(t[int(np.argmax(rows))])
+    message = (
+        f"{name}: {', '.join(which)} stuck for {np.count_nonzero(rows) * period:.2f} s in all, from {first:.2f} s on"
+    )
+    hint = "no value changed there: those rows count as a gap; is it the sensor, its bus, or a driver that repeats?"
+    return [Warn("imu-stuck", message, hint)]
+
+
+def told_coarse(name: str, gyro: Array) -> list[Warn]:
+    """Say where the gyro (n, 3), rad/s, is rounded so coarsely that its bias is not to be seen."""
+    least = min(float(steps[steps > 0.0].min(initial=np.inf)) for steps in (np.abs(np.diff(x)) for x in gyro.T))
+    if not COARSE_RAD_S <= least < np.inf:
+        return []
+    steps = np.abs(np.diff(gyro, axis=0))
+    if least < COARSE * np.median(steps[steps > 0.0]):
+        return []
+    hint = "its bias is not seen below that: record it with all its digits"
+    return [Warn("gyro-coarse", f"{name}: the gyro is rounded to {least:.2g} rad/s", hint)]
+
+
+def told_dead(name: str, columns: Sequence[str], constant: Bools) -> list[Warn]:
+    """Say which columns are constant."""
+    which = [column for column, is_dead in zip(columns, constant, strict=True) if is_dead]
+    if not which:
+        return []
+    hint = "of an axis that does not measure no turn is known: where it turns, sigma does not hold"
+    return [Warn("imu-stuck", f"{name}: {', '.join(which)} never changes: a dead axis", hint)]
+
+
+def _stuck(t: Array, x: Array) -> Bools:
+    """Tell the stuck rows of one column."""
+    out = np.zeros(len(x), dtype=np.bool_)
+    change = np.diff(x)
+    first, last = _runs(change == 0.0)
+    if not first.size:
+        return out
+    period = float(np.median(np.diff(t)))
+    least = max(LEAST_ROWS, round(STUCK_S / period))
+    length = last - first
+    long = length >= least
+    usual = int(length[~long].max(initial=0))
+    if not long.any() or usual > USUAL * least or np.count_nonzero(change) < LIVELY * len(change):
+        return out
+    steps = np.abs(change[change != 0.0])
+    level, size, quantum = (1.0 - BAND) * np.abs(x).max(), float(np.median(steps)), float(steps.min())
+    reach, least_step = (1, QUANTA * quantum) if quantum > COARSE * size else (BESIDE, ABRUPT * size)
+    for a, b in zip(first[long].tolist(), last[long].tolist(), strict=True):
+        clipped = abs(x[a]) >= level > 0.0 and t[b] - t[a] < LONGEST_S
+        sides = [np.abs(side).max(initial=0.0) for side in (change[max(a - reach, 0) : a], change[b : b + reach])]
+        if not clipped and (min(sides) if reach == 1 else max(sides)) > least_step:
+            out[a + 1 : b + 1] = True
+    return out
+
+
+def _runs(flags: Bools) -> tuple[Ints, Ints]:
+    """Return the row before the first flag of every run, and the row of its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges[::2], edges[1::2]

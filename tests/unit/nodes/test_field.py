@@ -1,0 +1,61 @@
+"""Whether a magnetometer shows the Earth's field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.drives import Job, simulated
+
+from attest_cli.nodes.field import field_doubts
+from attest_cli.simulate import RoverOptions
+
+Array = NDArray[np.float64]
+OPTIONS = RoverOptions(
+    seed=2, duration_s=120.0, rate_hz=50.0, motions=3, stop_s=(8.0, 12.0), sun=False, magnetometer=True
+)
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return simulated(OPTIONS)
+
+
+def doubted(job: Job, change: Array, *, reference: bool = True) -> tuple[float, list[str]]:
+    fixes = job.log.fixes["magnetometer"]
+    field = replace(fixes, values=fixes.values @ change[:, :3].T + change[:, 3])
+    world = job.world if reference else replace(job.world, field_n=None)
+    iron, told = field_doubts(field, job.log, job.segmentation, world)
+    return iron, [w.message for w in told]
+
+
+SOUND = np.hstack([np.eye(3), np.zeros((3, 1))])
+
+
+@pytest.mark.parametrize("reference", [True, False])
+def test_a_calibrated_one_is_silent(job: Job, reference: bool) -> None:
+    assert doubted(job, SOUND, reference=reference) == (0.0, [])
+
+
+def test_a_normalised_one_has_no_size(job: Job) -> None:
+    fixes = job.log.fixes["magnetometer"]
+    sizes = np.linalg.norm(fixes.values, axis=1, keepdims=True)
+    values = 5e-5 * fixes.values / sizes
+    assert field_doubts(replace(fixes, values=values), job.log, job.segmentation, job.world)[1] == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        np.hstack([np.eye(3), [[8e-6], [-5e-6], [3e-6]]]),
+        np.hstack([np.diag([1.0, 1.0, -1.0]), np.zeros((3, 1))]),
+        np.hstack([np.diag([1.3, 0.7, 1.2]), np.zeros((3, 1))]),
+    ],
+    ids=["hard iron", "z reversed", "soft iron"],
+)
+def test_iron_is_told_and_covers_heading(job: Job, change: Array) -> None:
+    iron, told = doubted(job, change)
+    assert told
+    assert iron > np.radians(5.0)

@@ -1,0 +1,49 @@
+"""Gyro and accelerometer that do not speak of the same axes, told by the turning of gravity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from attest_cli.maths import rotation
+from attest_cli.maths.axes import signed_permutations
+from attest_cli.prepare.axes import doubts
+
+Array = NDArray[np.float64]
+
+
+def drive(rng: np.random.Generator, noise: float = 0.05) -> tuple[Array, Array, Array]:
+    """A box that leans about all axes for a minute: t, gyro, specific force."""
+    t = np.arange(3000) / 50.0
+    pulsation, phase = rng.uniform(0.3, 0.9, 3), rng.uniform(0.0, 6.0, 3)
+    gyro = 0.25 * np.sin(t[:, None] * pulsation + phase)
+    q = rotation.chain(rotation.exp_quaternion(np.vstack([np.zeros(3), 0.5 * (gyro[1:] + gyro[:-1]) / 50.0])))
+    accel = rotation.matrix(q)[:, 2] * 9.81 + rng.normal(0.0, noise, (3000, 3))
+    return t, gyro + rng.normal(0.0, 1e-3, (3000, 3)) + 0.01, accel
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_axes_that_agree_are_silent(seed: int) -> None:
+    assert doubts("log", *drive(np.random.default_rng(seed))) == []
+
+
+@pytest.mark.parametrize("axes", signed_permutations()[1::5])
+def test_any_other_axes_are_told_and_named(axes: Array, rng: np.random.Generator) -> None:
+    t, gyro, accel = drive(rng)
+    (told,) = doubts("log", t, gyro @ axes, accel)  # axes @ mended gyro is the gyro
+    assert told.code == "gyro-against-accel"
+    assert told.fatal
+
+
+@pytest.mark.parametrize("factor", [0.1, 12.0])
+def test_a_clock_of_another_rate_is_told(factor: float, rng: np.random.Generator) -> None:
+    t, gyro, accel = drive(rng)
+    (told,) = doubts("log", t, gyro / factor, accel)
+    assert told.code == "gyro-scale"
+
+
+def test_accelerations_that_hide_gravity_tell_nothing(rng: np.random.Generator) -> None:
+    t, gyro, accel = drive(rng)
+    pushed = accel + 3.0 * np.sin(t[:, None] * np.array([2.0, 3.1, 2.6]))
+    assert doubts("log", t, -gyro, pushed) == []

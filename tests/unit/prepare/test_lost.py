@@ -1,0 +1,41 @@
+"""What a lost sample costs: the noise of the samples beside it covers what the bridge over it misses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from attest_cli.prepare.lost import bridged
+
+
+def shaking(rng: np.random.Generator, n: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
+    t = np.arange(n) / 50.0
+    return t, 0.05 * np.sin(2 * np.pi * rng.uniform(3.0, 15.0, 3) * t[:, None] + rng.uniform(0.0, 6.0, 3))
+
+
+def test_nothing_lost_is_nothing_said(rng: np.random.Generator) -> None:
+    t, gyro = shaking(rng)
+    assert bridged(t, gyro, 0.5) is None
+    assert bridged(t + rng.normal(0.0, 1e-3, len(t)), gyro, 0.5) is None
+
+
+def test_the_density_is_that_of_the_error(rng: np.random.Generator) -> None:
+    t, gyro = shaking(rng)
+    for lost in (1, 3):
+        keep = np.ones(len(t), dtype=bool)
+        at = np.arange(50, len(t) - 50, 100)
+        for k in range(lost):
+            keep[at + k] = False
+        density = bridged(t[keep], gyro[keep], 0.5)
+        assert density is not None
+        inner = sum(gyro[at + k] for k in range(lost))
+        error = (inner - 0.5 * lost * (gyro[at - 1] + gyro[at + lost])) / 50.0  # rad, of each hole
+        before = np.searchsorted(t[keep], t[at - 1])
+        claimed = density[before] ** 2 * ((lost + 1) / 50.0 + 1 / 50.0)
+        assert 0.7 < np.mean(error**2) / np.mean(claimed) < 1.4
+        assert np.count_nonzero(density) == 2 * len(at)
+
+
+def test_longer_holes_are_gaps(rng: np.random.Generator) -> None:
+    t, gyro = shaking(rng, 1000)
+    keep = (t < 5.0) | (t > 6.0)
+    assert bridged(t[keep], gyro[keep], 0.5) is None

@@ -1,0 +1,60 @@
+"""Stuck axes: told from rest, from coarse sensors, from clipping and from simulations without noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from attest_cli.prepare.stuck import dead, stuck, told_coarse
+
+T = np.arange(4000) / 100.0
+
+
+def values(rng: np.random.Generator) -> np.ndarray:
+    return np.sin(T[:, None] * [0.5, 0.7, 0.9]) + rng.normal(0.0, 0.01, (4000, 3))
+
+
+def test_a_held_value_is_stuck_from_its_first_repeat(rng: np.random.Generator) -> None:
+    x = values(rng)
+    x[1000:1100, 1] = x[1000, 1]
+    found = stuck(T, x)
+    assert np.flatnonzero(found[1]).tolist() == list(range(1001, 1100))
+    assert not found[0].any()
+    assert not found[2].any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_is_never_stuck(seed: int) -> None:
+    assert not np.any(stuck(T, values(np.random.default_rng(seed))))
+
+
+def test_a_few_repeats_are_a_slower_sensor() -> None:
+    x = values(np.random.default_rng(1))[np.arange(4000) // 5 * 5]
+    assert not np.any(stuck(T, x))
+
+
+@pytest.mark.parametrize("step", [0.02, 0.05])
+def test_a_coarse_sensor_at_rest_is_not_stuck(step: float, rng: np.random.Generator) -> None:
+    x = np.where(T[:, None] > 20.0, values(rng), rng.normal(0.0, 0.001, (4000, 3)))  # and moves off with a jerk
+    assert not np.any(stuck(T, np.round(x / step) * step))
+
+
+def test_a_simulation_without_noise_comes_to_rest() -> None:
+    ramp = np.clip((T - 10.0) / 5.0, 0.0, 1.0)
+    x = np.outer(np.sin(T) * ramp**3 * (10.0 + ramp * (6.0 * ramp - 15.0)), np.ones(3))
+    assert not np.any(stuck(T, x))
+
+
+def test_the_end_of_the_range_is_not_stuck(rng: np.random.Generator) -> None:
+    assert not np.any(stuck(T, np.clip(values(rng), -0.9, 0.9)))
+
+
+def test_a_constant_column_is_dead_beside_others() -> None:
+    assert dead(np.array([[0.0, 1.0], [0.0, 2.0]])).tolist() == [True, False]
+    assert not dead(np.ones((2, 3))).any()
+
+
+def test_a_rounded_gyro_is_told(rng: np.random.Generator) -> None:
+    gyro = values(rng)
+    assert told_coarse("log", gyro) == []
+    assert [w.code for w in told_coarse("log", np.round(gyro, 2))] == ["gyro-coarse"]
