@@ -19,6 +19,9 @@ from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 MIN_ROWS = 50
 MIN_SECONDS = 2.0
 LISTED_GAPS = 3
+LARGEST = 1e12  # a raw value beyond this is a damaged number
+FASTEST_RAD_S, STRONGEST_M_S2 = 1e3, 1e5  # no IMU measures more: 57 000 deg/s, 10 000 g
+MANY = 0.1  # of the samples: no lost bytes, but another unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +77,11 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
     del table, ordered, first  # a long log is not held twice
     for part in parts if spent else ():
         cast("dict[str, Array]", part.values).clear()
-    held = _held(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
-    if held.any():
-        stamps_ns, gyro, accel = stamps_ns[~held], gyro[~held], accel[~held]
-        _enough(files, stamps_ns)
+    for told in (_absurd, _held):
+        rows = told(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
+        if rows.any():
+            stamps_ns, gyro, accel = stamps_ns[~rows], gyro[~rows], accel[~rows]
+            _enough(files, stamps_ns)
     lone = _alone(gyro, GYRO_FLOOR) | _alone(accel, ACCEL_FLOOR)
     if lone.any():
         warnings.append(_told_spikes(f"{files}: {parts[0].name}", lone, stamps_ns, t0_ns))
@@ -107,6 +111,21 @@ def _in_si(
 def _alone(values: Array, floor: float) -> Bools:
     """Tell the rows (n,) of spikes, axis by axis: all at once would be another copy of a long log."""
     rows: Bools = np.logical_or.reduce([spikes(values[:, i : i + 1], floor) for i in range(values.shape[1])])
+    return rows
+
+
+def _absurd(name: str, t: Array, gyro: Array, accel: Array, warnings: list[Warn]) -> Bools:
+    """Tell rows (n,) that no IMU can have measured; refuse a log of them."""
+    fast = np.logical_or.reduce([np.abs(gyro[:, i]) > FASTEST_RAD_S for i in range(3)])
+    rows: Bools = fast | np.logical_or.reduce([np.abs(accel[:, i]) > STRONGEST_M_S2 for i in range(3)])
+    count = int(np.count_nonzero(rows))
+    if count > MANY * rows.size:
+        what = f"{FASTEST_RAD_S:g} rad/s" if 2 * np.count_nonzero(fast) > count else "10 000 g"
+        message = f"{name}: {count} of {rows.size} samples are over {what}: no IMU measures that"
+        raise AttestError(message, "check the units of its columns")
+    if count:
+        message = f"{name}: {count} of {rows.size} rows dropped: out of any range, the first at {t[rows][0]:.2f} s"
+        warnings.append(Warn("imu-out-of-range", message, "lost bytes make such samples"))
     return rows
 
 
@@ -165,7 +184,7 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
     start, end = _window(channel.stamps_ns, t0_ns, settings)
     stamps_ns = channel.stamps_ns[start:end]
     values = _side_by_side([channel.values[name][start:end] for name in names])
-    finite = np.isfinite(values)
+    finite = np.abs(values) < LARGEST  # nor NaN
     if values.size and not finite.any(axis=0).all():
         empty = names[int(np.argmin(finite.any(axis=0)))]
         raise AttestError(
