@@ -77,15 +77,18 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
     del table, ordered, first  # a long log is not held twice
     for part in parts if spent else ():
         cast("dict[str, Array]", part.values).clear()
-    for told in (_absurd, _held):
-        rows = told(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
-        if rows.any():
-            stamps_ns, gyro, accel = stamps_ns[~rows], gyro[~rows], accel[~rows]
-            _enough(files, stamps_ns)
+    held = _held(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
+    if held.any():
+        stamps_ns, gyro, accel = stamps_ns[~held], gyro[~held], accel[~held]
+        _enough(files, stamps_ns)
     lone = _alone(gyro, GYRO_FLOOR) | _alone(accel, ACCEL_FLOOR)
     if lone.any():
         warnings.append(_told_spikes(f"{files}: {parts[0].name}", lone, stamps_ns, t0_ns))
         stamps_ns, gyro, accel = stamps_ns[~lone], gyro[~lone], accel[~lone]
+    absurd = _absurd(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
+    if absurd.any():
+        stamps_ns, gyro, accel = stamps_ns[~absurd], gyro[~absurd], accel[~absurd]
+        _enough(files, stamps_ns)
     warnings += axes.doubts(f"channel {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel)
     holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
     if holes_ns.size:
@@ -116,6 +119,8 @@ def _alone(values: Array, floor: float) -> Bools:
 
 def _absurd(name: str, t: Array, gyro: Array, accel: Array, warnings: list[Warn]) -> Bools:
     """Tell rows (n,) that no IMU can have measured; refuse a log of them."""
+    if _within(gyro, FASTEST_RAD_S) and _within(accel, STRONGEST_M_S2):
+        return np.zeros(len(t), dtype=np.bool_)
     fast = np.logical_or.reduce([np.abs(gyro[:, i]) > FASTEST_RAD_S for i in range(3)])
     rows: Bools = fast | np.logical_or.reduce([np.abs(accel[:, i]) > STRONGEST_M_S2 for i in range(3)])
     count = int(np.count_nonzero(rows))
@@ -129,12 +134,16 @@ def _absurd(name: str, t: Array, gyro: Array, accel: Array, warnings: list[Warn]
     return rows
 
 
+def _within(values: Array, limit: float) -> bool:
+    """Tell whether all values are within a limit, none NaN; no copy of a long log is made for it."""
+    return bool(-limit < values.min() and values.max() < limit)
+
+
 def _held(name: str, t: Array, gyro: Array, accel: Array, warnings: list[Warn]) -> Bools:
     """Tell rows (n,) in which an axis is stuck; say so, and of axes that are dead."""
-    found = [*stuck.stuck(t, gyro), *stuck.stuck(t, accel)]
-    extremes = np.concatenate([[x.min(axis=0), x.max(axis=0)] for x in (gyro, accel)], axis=1)
+    found = stuck.stuck(t, gyro, accel)
     warnings += stuck.told(name, COLUMNS["imu"], found, t)
-    warnings += stuck.told_dead(name, COLUMNS["imu"], stuck.dead(extremes))
+    warnings += stuck.told_dead(name, COLUMNS["imu"], stuck.dead(gyro, accel))
     warnings += stuck.told_coarse(name, gyro)
     rows: Bools = np.logical_or.reduce(found)
     return rows
@@ -184,25 +193,32 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
     start, end = _window(channel.stamps_ns, t0_ns, settings)
     stamps_ns = channel.stamps_ns[start:end]
     values = _side_by_side([channel.values[name][start:end] for name in names])
+    rows_in = len(values)
+    if rows_in and not _within(values, LARGEST):
+        good = _finite(files, channel, names, values, warnings)
+        stamps_ns, values = stamps_ns[good], values[good]
+    ordered = in_order(f"{files}: {channel.name}", stamps_ns, values, t0_ns)
+    warnings.extend(ordered.warnings)
+    if ordered.stamps_ns is not stamps_ns and not np.array_equal(ordered.rows, np.arange(len(values))):
+        values = values[ordered.rows]
+    return _Rows(channel, ordered.stamps_ns, values, rows_in)
+
+
+def _finite(files: str, channel: Channel, names: Sequence[str], values: Array, warnings: list[Warn]) -> Bools:
+    """Tell the rows (n,) that hold numbers, and say how many do not; refuse an empty column."""
     finite = np.abs(values) < LARGEST  # nor NaN
-    if values.size and not finite.any(axis=0).all():
+    if not finite.any(axis=0).all():
         empty = names[int(np.argmin(finite.any(axis=0)))]
         raise AttestError(
             f"{files}: column {empty} of {channel.name} is empty", "map another channel, or repair the export"
         )
-    good = finite.all(axis=1)
+    good = np.asarray(finite.all(axis=1))
     missing = int(np.count_nonzero(~good))
     if missing:
         counts = ", ".join(f"{name} {n}" for name, n in zip(names, np.sum(~finite, axis=0), strict=True) if n)
         message = f"{files}: {missing} of {good.size} rows of {channel.name} dropped, not finite: {counts}"
         warnings.append(Warn("imu-not-finite", message))
-    if missing:
-        stamps_ns, values = stamps_ns[good], values[good]
-    ordered = in_order(f"{files}: {channel.name}", stamps_ns, values, t0_ns)
-    warnings.extend(ordered.warnings)
-    if not np.array_equal(ordered.rows, np.arange(len(values))):
-        values = values[ordered.rows]
-    return _Rows(channel, ordered.stamps_ns, values, good.size)
+    return good
 
 
 def _side_by_side(columns: Sequence[Array]) -> Array:

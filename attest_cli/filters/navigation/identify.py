@@ -21,6 +21,7 @@ from .states import Layout
 
 WINDOW_NODES = 1500  # enough to tell a noise to a few per cent, and quick
 CHECK_NODES, WIDER, TOO_FAR, MOST_STEPS = 4000, 1.41, 1.15, 8
+CHANCE = 2.0  # sigmas of a mean square
 HIDDEN_S, BETWEEN_S = 15.0, 25.0  # outages by which the coloured errors of fixes are checked
 ROUNDS = 2
 STEPS = (4.0, 2.0, 1.41)  # factors tried, coarse to fine
@@ -44,16 +45,16 @@ class Window:
         P0, lin, placed = self._with(factors)
         return log_likelihood(P0, lin, pile(placed, len(self.at.q), self.form.size))
 
-    def withheld(self, factors: Mapping[str, float]) -> tuple[float, float]:
+    def withheld(self, factors: Mapping[str, float]) -> tuple[float, float, int]:
         """Return the mean normalised square, per degree of freedom, and the log-likelihood of fixes in outages,
-        predicted from both sides.
+        predicted from both sides, and how many outages there are.
         """
         P0, lin, placed = self._with(factors)
         at = next(k for k, (aid, _) in enumerate(placed) if isinstance(aid, Place))
         aid, rows = placed[at]
         hidden = (rows.t - rows.t[0]) % (HIDDEN_S + BETWEEN_S) > BETWEEN_S
         if not hidden.any():
-            return 1.0, 0.0
+            return 1.0, 0.0, 1
         placed[at] = (aid, rows.where(~hidden))
         run = forward(P0, lin, pile(placed, len(self.at.q), self.form.size), np.zeros(self.form.size))
         errors, test = adjoint.smooth(run), rows.where(hidden)
@@ -61,7 +62,8 @@ class Window:
         r = r - np.einsum("kij,kj->ki", H, (run.x + errors.d)[test.node])
         S = H @ errors.P[test.node] @ H.swapaxes(1, 2) + test.sigma[:, :2, None] ** 2 * np.eye(2)
         squares = np.einsum("ki,ki->k", r, np.linalg.solve(S, r[:, :, None])[:, :, 0])
-        return 0.5 * float(np.mean(squares)), -0.5 * float(np.sum(squares + np.linalg.slogdet(S)[1]))
+        outages = len(np.unique((test.t - rows.t[0]) // (HIDDEN_S + BETWEEN_S)))
+        return 0.5 * float(np.mean(squares)), -0.5 * float(np.sum(squares + np.linalg.slogdet(S)[1])), outages
 
     def _with(self, factors: Mapping[str, float]) -> tuple[Array, Linear, list[tuple[Aid, Rows]]]:
         """Return prior, motion and rows with the sigmas times ``factors``."""
@@ -107,20 +109,22 @@ def widened(
 
     The likelihood judges from fix to fix; what wanders more slowly, a coloured error or an IMU that is worse than it
     looks from one second to the next, shows when a stretch of fixes is hidden. What explains them best is widened, for
-    as long as they lie too far off.
+    as long as they lie too far off, and that makes them likelier or is no chance: errors of one outage are one draw.
     """
     out = dict(factors)
     if not any(isinstance(aid, Place) for aid in aids):
         return out
     window = _window(form, P0, inertial, aids, at, CHECK_NODES)
-    square, _ = window.withheld(out)
+    square, best, outages = window.withheld(out)
     for _ in range(MOST_STEPS):
         if square <= TOO_FAR:
             break
         trials = [{**out, name: out[name] * WIDER} for name in _slow(out, aids)]
         judged = [window.withheld(trial) for trial in trials]
-        k = int(np.argmax([likely for _, likely in judged]))
-        out, (square, _) = trials[k], judged[k]
+        k = int(np.argmax([likely for _, likely, _ in judged]))
+        if square < 1.0 + CHANCE / np.sqrt(outages) and judged[k][1] < best + WORTH:
+            break
+        out, (square, best, _) = trials[k], judged[k]
     return out
 
 

@@ -50,7 +50,7 @@ MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
     "vehicle": (np.inf, 30.0),
     "drone": (np.inf, 15.0),
 }
-LIVELY_WALK = 4e-4  # rad/s^2/sqrt(Hz): a MEMS gyro's bias in a hand that turns it, where no walk is stated
+HAND_WALK, HAND_RAD_S = 4e-4, 0.25  # rad/s^2/sqrt(Hz): bias of a MEMS gyro in a hand that turns it so; none stated
 MOST_NODES = 12_000  # about 3 GB at 30 states
 LIVELY_SPACING_S = 0.05  # between nodes of such a log; 0.1 s costs 3 % of accuracy there
 
@@ -197,8 +197,8 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     bare = np.zeros(n - 1)
     walk = noise.gyro_walk
     if noise.sources["gyro_random_walk"] != "settings":
-        lively = liveliness(drive.log, drive.segmentation) / LIVELY_RAD_S
-        walk = float(np.hypot(walk, LIVELY_WALK * min(1.0, lively) ** 2))
+        lively = liveliness(drive.log, drive.segmentation) / HAND_RAD_S
+        walk = float(np.hypot(walk, HAND_WALK * min(1.0, lively) ** 3))  # hardly any in a rover
     walks = (walk**2, drive.settings.imu.accel_random_walk**2)
     found = inertial_of(nodes, drive.log.imu, (bare, bare), walks, drive.world.gravity)
     steps, starts = found.steps, found.steps.first[:-1]
