@@ -35,7 +35,7 @@ class Motion:
 
     def misfit(self, axes: Array) -> float:
         """Return by how much the gyro, its axes changed, misses gravity at the end, squared."""
-        q = rotation.chain(rotation.exp_quaternion(self.turns @ axes.T))[-1:]
+        q = _whole(rotation.exp_quaternion(self.turns @ axes.T))
         expected = rotation.rotate(rotation.conjugate(q), self.before[None])[0]
         return float(np.sum((expected - self.after) ** 2))
 
@@ -48,13 +48,16 @@ def motions(log: Log, segmentation: Segmentation) -> list[Motion]:
         inside = (log.gaps[:, 0] < two.used_start) & (log.gaps[:, 1] > one.used_end) if len(log.gaps) else np.array([])
         if min(a1 - a0, b1 - b0) < 10 or inside.any() or t[b0] - t[a1] > LONGEST_S or len(out) == MOST:
             continue
-        rows = np.arange(a1 - 1, b0 + 1)
-        rate = log.imu.gyro_b[rows] - reference_bias(log, segmentation, t[rows])
-        each = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t[rows])[:, None]
-        first = np.flatnonzero(np.diff(np.floor((t[rows[1:]] - t[a1 - 1]) / STEP_S), prepend=-1.0))
+        at, rate = t[a1 - 1 : b0 + 1], log.imu.gyro_b[a1 - 1 : b0 + 1]
+        each = rate[1:] + rate[:-1]
+        each *= 0.5 * np.diff(at)[:, None]
+        first = np.flatnonzero(np.diff(np.floor((at[1:] - at[0]) / STEP_S), prepend=-1.0))
+        edges = at[np.append(first, len(at) - 1)]
+        bias = reference_bias(log, segmentation, 0.5 * (edges[1:] + edges[:-1]))  # linear from stop to stop
+        turns = np.add.reduceat(each, first, axis=0) - bias * np.diff(edges)[:, None]
         ups = [log.imu.accel_b[lo:hi].mean(axis=0) for lo, hi in ((a0, a1), (b0, b1))]
         before, after = (up / np.linalg.norm(up) for up in ups)
-        out.append(Motion(np.add.reduceat(each, first, axis=0), before, after))
+        out.append(Motion(turns, before, after))
     return out
 
 
@@ -83,6 +86,14 @@ def doubts(log: Log, segmentation: Segmentation, *, raised: bool) -> list[Warn]:
         hint = "calibrate its scale: where it turns much, sigma does not hold"
         return [Warn("gyro-scale", message, hint, fatal=abs(SCALES[k] - 1.0) > GROSS)]
     return []
+
+
+def _whole(q: Array) -> Array:
+    """Return the product (1, 4) of unit quaternions (n, 4), by halves: only the whole is asked for."""
+    while len(q) > 1:
+        even = len(q) // 2 * 2
+        q = np.concatenate([rotation.multiply(q[:even:2], q[1:even:2]), q[even:]])
+    return rotation.normalise(q)
 
 
 def _opening(found: Sequence[Motion], axes: Array) -> float:

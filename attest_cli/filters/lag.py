@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ..maths import rotation
+from ..maths.rotation import ROWS
 from ..records import Array, Fixes, Log, Smoothed, World
 from ..settings import Settings
 
@@ -46,52 +47,65 @@ def _lag(smoothed: Smoothed, fixes: Fixes, world: World, settings: Settings, res
     span = float(smoothed.t[-1] - smoothed.t[0])
     most = STEP_S * round(float(min(MOST_S, SHARE * span)) / STEP_S)
     inside = (fixes.t > smoothed.t[0] + most) & (fixes.t < smoothed.t[-1] - most)
-    if np.count_nonzero(inside) < FEW:
+    count = int(np.count_nonzero(inside))
+    if count < FEW:
         return 0.0
+    fixes = Fixes(fixes.role, fixes.channel, fixes.t[inside], fixes.values[inside])
+    sun_n = world.sun_n if world.sun_n is None or world.sun_n.ndim == 1 else world.sun_n[inside]
+    world = World(world.gravity, sun_n, world.field_n)
 
-    def misfit(lag: float) -> float:
-        at = _attitude(smoothed, fixes.t - lag)
-        r, sigma = residual(fixes, at, world, settings)
-        step = 1e-4
-        turned = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, step])), at)
-        slope = (residual(fixes, turned, world, settings)[0] - r) / step
-        for _ in range(3):  # the turn about the vertical, outliers capped
-            use = inside & (np.sum(r**2, axis=1) < CAP * sigma**2 * r.shape[1])
-            power = float(np.sum(slope[use] ** 2))
-            turn = -float(np.sum(slope[use] * r[use])) / power if power > 0.0 else 0.0
-            r = r + slope * turn
-        return float(np.sum(np.minimum(np.sum(r[inside] ** 2, axis=1) / sigma**2, CAP * r.shape[1])))
+    def misfits(lags: Array) -> Array:
+        each = max(ROWS // count, 1)  # lags that are tried at once: what is made on the way stays in cache
+        parts = [lags[k : k + each] for k in range(0, len(lags), each)]
+        return np.concatenate([_misfits(smoothed, fixes, world, settings, residual, part) for part in parts])
 
     coarse = np.arange(-most, most + STEP_S / 2, STEP_S)
-    found = [misfit(lag) for lag in coarse]
-    best = float(coarse[int(np.argmin(found))])
+    best = float(coarse[int(np.argmin(misfits(coarse)))])
     fine = best + np.arange(-STEP_S, STEP_S + FINE_S / 2, FINE_S)
-    at_fine = [misfit(lag) for lag in fine]
+    *at_fine, unmoved = misfits(np.append(fine, 0.0)).tolist()
     k = int(np.argmin(at_fine))
-    freedom = max(int(np.count_nonzero(inside)) * (1 if fixes.role == "compass" else 2), 1)
-    drop = (misfit(0.0) - at_fine[k]) / max(at_fine[k] / freedom, 1e-12)
+    freedom = max(count * (1 if fixes.role == "compass" else 2), 1)
+    drop = (unmoved - at_fine[k]) / max(at_fine[k] / freedom, 1e-12)
     certain = drop > SIGNIFICANT and abs(best) < most - STEP_S
     return round(float(fine[k]), 3) if certain else 0.0
 
 
+def _misfits(
+    smoothed: Smoothed, fixes: Fixes, world: World, settings: Settings, residual: Residual, lags: Array
+) -> Array:
+    """Return the sum of squared sigmas, capped, with each of the lags (l,) and the turn about the vertical for it."""
+    at = _attitude(smoothed, fixes.t - lags[:, None])
+    r, sigma = residual(fixes, at, world, settings)
+    step, d = 1e-4, r.shape[-1]
+    turned = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, step])), at)
+    slope = (residual(fixes, turned, world, settings)[0] - r) / step
+    for _ in range(3):  # the turn about the vertical, outliers capped
+        use = np.sum(r**2, axis=-1) < CAP * sigma**2 * d
+        used = slope * use[..., None]
+        power, along = np.einsum("lkd,lkd->l", used, slope), np.einsum("lkd,lkd->l", used, r)
+        turn = -np.divide(along, power, out=np.zeros(len(lags)), where=power > 0.0)
+        r = r + slope * turn[:, None, None]
+    return np.asarray(np.sum(np.minimum(np.sum(r**2, axis=-1) / sigma**2, CAP * d), axis=1))
+
+
 def _attitude(smoothed: Smoothed, t: Array) -> Array:
-    """Return the attitude (k, 4) at instants, between the nodes."""
+    """Return the attitude (..., 4) at instants, between the nodes."""
     k = np.clip(np.searchsorted(smoothed.t, t, side="right") - 1, 0, len(smoothed.t) - 2)
     share = np.clip((t - smoothed.t[k]) / (smoothed.t[k + 1] - smoothed.t[k]), 0.0, 1.0)
     turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(smoothed.q[k]), smoothed.q[k + 1]))
-    return rotation.multiply(smoothed.q[k], rotation.exp_quaternion(turn * share[:, None]))
+    return rotation.multiply(smoothed.q[k], rotation.exp_quaternion(turn * share[..., None]))
 
 
 def _sun(fixes: Fixes, q: Array, world: World, settings: Settings) -> tuple[Array, float]:
-    seen = rotation.rotate(rotation.conjugate(q), np.broadcast_to(np.asarray(world.sun_n), (len(q), 3)))
+    seen = rotation.rotate(rotation.conjugate(q), np.asarray(world.sun_n))
     seen = seen @ rotation.matrix(np.array(settings.sun.mounting))
-    return fixes.values - seen[:, : fixes.values.shape[1]], float(np.radians(settings.sun.sigma_deg))
+    return fixes.values - seen[..., : fixes.values.shape[1]], float(np.radians(settings.sun.sigma_deg))
 
 
 def _compass(fixes: Fixes, q: Array, world: World, settings: Settings) -> tuple[Array, float]:  # noqa: ARG001 (one signature)
-    forward = rotation.matrix(q)[:, :2, 0]
-    off = fixes.values[:, 0] - np.arctan2(forward[:, 0], forward[:, 1])
-    return np.arctan2(np.sin(off), np.cos(off))[:, None], float(np.radians(settings.compass.sigma_deg))
+    forward = rotation.matrix(q)[..., :2, 0]
+    off = fixes.values[:, 0] - np.arctan2(forward[..., 0], forward[..., 1])
+    return np.arctan2(np.sin(off), np.cos(off))[..., None], float(np.radians(settings.compass.sigma_deg))
 
 
 def _orientation(fixes: Fixes, q: Array, world: World, settings: Settings) -> tuple[Array, float]:  # noqa: ARG001
@@ -100,4 +114,4 @@ def _orientation(fixes: Fixes, q: Array, world: World, settings: Settings) -> tu
 
 
 RESIDUALS: Mapping[str, Residual] = {"sun": _sun, "compass": _compass, "orientation": _orientation}
-"""Role -> function from fixes and the attitude at their times to residuals (k, d) and their sigma, rad."""
+"""Role -> function from fixes and the attitude at their times (l, k, 4) to residuals (l, k, d) and their sigma, rad."""

@@ -18,6 +18,7 @@ BAND = 1e-4  # two-sided probability outside which a mean NIS is not chance
 SLIGHT = 1.25  # a mean NIS this far beyond its band is sure, but of no consequence
 FAR_OFF = 4.0  # mean NIS over its degrees of freedom: sigma cannot be trusted
 MANY_REJECTED, MOST_REJECTED = 0.01, 0.5
+TOGETHER = 10  # readings whose errors are summed: one that lasts stands out
 FEW = 5  # measurements of a sensor that say little about its noise
 MOST_DEGREES = 4000  # from there on the band of the mean is far narrower than what is slight
 
@@ -65,6 +66,21 @@ def mean_nis(mean: float, used: int, dof: int) -> Literal["smaller", "fits", "la
     degrees = max(1, min(used * dof, MOST_DEGREES))
     low, high = (upper_quantile(degrees, p) * dof / degrees for p in (1.0 - 0.5 * BAND, 0.5 * BAND))
     return "smaller" if mean < low / SLIGHT else "larger" if mean > high * SLIGHT else "fits"
+
+
+def lasting(z: Array) -> tuple[float, int]:
+    r"""Return the mean square of what ``TOGETHER`` successive normalised innovations ``z`` (m, d) sum up to, and of how
+    many such sums.
+
+    .. math:: s_b=\frac1{\sqrt m}\sum_{k\in b}z_k,\quad E\,s_b^Ts_b=d
+
+    An error that lasts from reading to reading makes it larger than :math:`d`, however wide the stated sigma.
+    """
+    blocks = len(z) // TOGETHER
+    if blocks == 0:
+        return 0.0, 0
+    sums = z[len(z) - blocks * TOGETHER :].reshape(blocks, TOGETHER, -1).sum(axis=1) / math.sqrt(TOGETHER)
+    return float(np.mean(np.sum(sums**2, axis=1))), blocks
 
 
 def noise_status(mean: float, used: int, dof: int) -> Status:

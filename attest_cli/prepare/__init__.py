@@ -9,11 +9,11 @@ import numpy as np
 from ..records import Fixes, Log, Recording, Warn
 from ..settings import Settings
 from . import course, quaternions
-from .calibration import calibrated
 from .clock import seconds
 from .fixes import Span, fixes_of
 from .imu import ImuRows, imu_rows
 from .roles import Cast, choose
+from .stuck import unchanging
 
 __all__ = ["choose", "prepare"]
 
@@ -65,6 +65,10 @@ def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool 
         warnings=tuple(warnings),
         history=_history(cast, fixes, rows, settings),
     )
+    if settings.imu.calibration is None:
+        return log
+    from .calibration import calibrated  # the models of its file
+
     return calibrated(log, settings)
 
 
@@ -79,12 +83,14 @@ def _fixes(cast: Cast, span: Span, settings: Settings, warnings: list[Warn]) -> 
 
 def _changing(fixes: Mapping[str, Fixes], rows: ImuRows, warnings: list[Warn]) -> dict[str, Fixes]:
     """Leave out a magnetometer or compass that says the same all along while the IMU turns."""
-    off = rows.imu.gyro_b - np.median(rows.imu.gyro_b, axis=0)
-    turns = float(np.mean(np.einsum("ij,ij->i", off, off))) > TURNING_RAD_S**2
     dead = [
         role for role in ("magnetometer", "compass")
-        if role in fixes and turns and len(fixes[role].t) >= FEW and not np.ptp(fixes[role].values, axis=0).any()
+        if role in fixes and len(fixes[role].t) >= FEW and unchanging(fixes[role].values).all()
     ]  # fmt: skip
+    if dead:
+        off = rows.imu.gyro_b - np.median(rows.imu.gyro_b, axis=0)
+        turns = float(np.mean(np.einsum("ij,ij->i", off, off))) > TURNING_RAD_S**2
+        dead = dead if turns else []
     for role in dead:
         message = f"all {len(fixes[role].t)} measurements of {fixes[role].channel} ({role}) are equal: not used"
         warnings.append(Warn("stale-repeats", message, "is the sensor connected?"))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..maths.axes import in_words, signed_permutations
+from ..maths.rotation import cross
 from ..records import Array, Warn
 from .units import AGREEMENT, Turns, turns
 
@@ -19,18 +20,18 @@ SCALED = 0.6  # share of the turning of gravity that another scale must explain
 WINDOWS_S = (0.5, 0.15)  # for what drives, and for what is waved about
 MOST = 4000  # turns of a log
 FEW = 12  # turns that show nothing
+NEAR = 1e-6  # of what is seen: misfits nearer to the least are worked out turn by turn
 HINT = "[imu] mounting cannot mend one of the two: put signs and order right in the driver, or with --columns"
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
     """How well turned axes explain the turning of gravity: ``axes`` (3, 3) signed permutation of the gyro's, ``scale``
-    on it with ``sigma``, ``misfit`` (k,) square per turn.
+    on it, ``misfit`` (k,) square per turn.
     """
 
     axes: Array
     scale: float
-    sigma: float
     misfit: Array
 
 
@@ -45,7 +46,7 @@ def doubts(name: str, t: Array, gyro: Array, accel: Array) -> list[Warn]:
     by a fifth, or by half. Where the axes agree, so must the scale, to a factor of four. Nothing is said where no axes
     explain what the accelerometer sees, as in a log whose accelerations hide gravity.
     """
-    found = [_fits(_some(turns(t, gyro, accel, window_s))) for window_s in WINDOWS_S]
+    found = [_fits(_some(turns(t, gyro, accel, window_s)[0])) for window_s in WINDOWS_S]
     fits, total = min(found, key=lambda pair: _left(pair[0], pair[1]))
     if _left(fits, total) > 1.0 - AGREEMENT:
         return []
@@ -71,13 +72,32 @@ def _some(seen: Turns) -> Turns:
 
 
 def _fits(seen: Turns) -> tuple[list[Fit], float]:
-    """Return the fit of the axes as they are, those of all others with a likely scale, and the square of what is seen;
-    none where too little turns.
+    r"""Return the fit of the axes as they are, that of the best others with a likely scale, and the square of what is
+    seen; none where too little turns.
+
+    All permutations share the products of nine columns :math:`\theta_j\,u\times e_i` and three of the bias.
     """
     if len(seen.step) < FEW:
         return [], 0.0
-    others = [fit for axes in signed_permutations() if SCALES[0] < (fit := _fit(seen, axes)).scale < SCALES[1]]
-    return [_fit(seen, np.eye(3)), *others], float(np.sum(seen.seen**2))
+    every, unit, rows = np.array(signed_permutations()), np.eye(3)[:, None], len(seen.step)
+    columns = np.concatenate([
+        (cross(seen.up, unit)[:, None] * seen.angle.T[None, :, :, None]).reshape(9, rows, 3),
+        cross(unit, seen.up) * seen.step[:, None],
+    ]).reshape(12, -1)  # fmt: skip
+    wanted = seen.seen.reshape(-1)
+    gram, seen_by, total = columns @ columns.T, columns @ wanted, float(wanted @ wanted)
+    mixed = np.zeros((len(every), 4, 12))  # scale and bias of each permutation on the columns
+    mixed[:, 0, :9], mixed[:, 1:, 9:] = every.reshape(-1, 9), np.eye(3)
+    x = _solved(mixed @ gram @ mixed.transpose(0, 2, 1), mixed @ seen_by)
+    weights = np.einsum("pij,pi->pj", mixed, x)
+    left = total - 2.0 * weights @ seen_by + np.einsum("pi,ij,pj->p", weights, gram, weights)
+    likely = (x[:, 0] > SCALES[0]) & (x[:, 0] < SCALES[1])
+    best = np.flatnonzero(likely & (left <= left[likely].min(initial=np.inf) + NEAR * total))
+    same = np.flatnonzero((every == np.eye(3)).all(axis=(1, 2)))
+    return [
+        Fit(every[k], float(x[k, 0]), np.sum((wanted - weights[k] @ columns).reshape(-1, 3) ** 2, axis=1))
+        for k in [*same.tolist(), *best.tolist()]
+    ], total
 
 
 def _left(fits: list[Fit], total: float) -> float:
@@ -85,16 +105,11 @@ def _left(fits: list[Fit], total: float) -> float:
     return min((float(fit.misfit.sum()) for fit in fits), default=np.inf) / total if total > 0.0 else np.inf
 
 
-def _fit(seen: Turns, axes: Array) -> Fit:
-    """Fit scale and bias of one permutation by least squares."""
-    turned = -np.cross(seen.angle @ axes.T, seen.up)
-    slow = seen.step[:, None, None] * np.cross(np.eye(3)[None], seen.up[:, None])  # (k, bias, axis)
-    A = np.concatenate([turned[:, None], slow], axis=1).transpose(0, 2, 1).reshape(-1, 4)
-    wanted = seen.seen.reshape(-1)
-    normal = A.T @ A + 1e-12 * np.eye(4)
-    x = np.linalg.solve(normal, A.T @ wanted)
-    if x[0] < 0.0:  # a gyro does not turn backwards: other axes may
-        x = np.append(0.0, np.linalg.solve(normal[1:, 1:], A[:, 1:].T @ wanted))
-    misfit = np.sum((wanted - A @ x).reshape(-1, 3) ** 2, axis=1)
-    variance = float(misfit.sum()) / max(2 * len(misfit) - 4, 1) * np.linalg.inv(normal)[0, 0]
-    return Fit(axes, float(x[0]), float(np.sqrt(variance)), misfit)
+def _solved(normal: Array, wanted: Array) -> Array:
+    """Return scale and bias (p, 4) of each permutation by least squares."""
+    normal = normal + 1e-12 * np.eye(4)
+    x = np.linalg.solve(normal, wanted[..., None])[..., 0]
+    still = np.linalg.solve(normal[:, 1:, 1:], wanted[:, 1:, None])[..., 0]
+    back = x[:, 0] < 0.0  # a gyro does not turn backwards: other axes may
+    x[back] = np.concatenate([np.zeros((len(x), 1)), still], axis=1)[back]
+    return np.asarray(x)

@@ -51,10 +51,10 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
     """
     found = []
     for axis, sign in ((axis, sign) for axis in range(values.shape[1]) for sign in (1.0, -1.0)):
-        y = sign * values[:, axis]
-        level = float(y.max(initial=0.0))
+        level = float(max(values[:, axis].max(initial=0.0) if sign > 0.0 else -values[:, axis].min(initial=0.0), 0.0))
         if level < floor:
             continue
+        y = sign * values[:, axis]
         seen = np.unique(y[y > 0.5 * level])
         counts = np.diff(seen)
         count = float(np.min(counts[counts > 1e-6 * level], initial=level))

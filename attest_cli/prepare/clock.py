@@ -15,6 +15,8 @@ STEP_BACK_NS = 500_000_000
 LONGEST_BATCH_NS = 500_000_000
 SHARED = 1.5
 """Stamps further apart than the batch, shared by more rows than this on average, have no resolution."""
+TWIN, MANY_TWINS = 0.01, 0.25
+"""Of the usual step: so near a row of the same values is a repeat. As near as the second, where that share repeats."""
 MANY_SHARED = 20.0
 """The same before repeated rows are dropped, each of which is held against all others of its stamp."""
 
@@ -47,6 +49,11 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
     """
     warnings: list[Warn] = []
     rows = np.arange(stamps_ns.size, dtype=np.int64)
+    if np.all(stamps_ns[1:] > stamps_ns[:-1]):
+        keep = _no_twins(stamps_ns, values, rows) if strict else None
+        if keep is None or keep.all():
+            return Ordered(rows, stamps_ns, ())
+        return Ordered(rows[keep], stamps_ns[keep], (_told_repeats(name, int(np.count_nonzero(~keep))),))
     latest = np.maximum.accumulate(stamps_ns)
     back = latest - stamps_ns  # against the maximum so far: 10, 5, 6, 11 has two rows out of order
     if np.any(back):
@@ -58,12 +65,12 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
         warnings.append(Warn("rows-out-of-order", f"{name}: {late}: sorted"))
     _refuse_coarse(name, stamps_ns[rows], MANY_SHARED)
     rows = rows[_not_repeated(stamps_ns, values, rows)]
+    rows = rows[_no_twins(stamps_ns, values, rows)] if strict else rows
     as_found = rows.size == stamps_ns.size and not np.any(back)
     found = stamps_ns if as_found else stamps_ns[rows]  # no second copy of the stamps of a long log
     _refuse_coarse(name, found)
     if rows.size < stamps_ns.size:
-        message = f"{name}: {stamps_ns.size - rows.size} rows repeat stamp and values of another: dropped"
-        warnings.append(Warn("duplicate-rows", message))
+        warnings.append(_told_repeats(name, stamps_ns.size - rows.size))
     ordered, spread = _spread(found) if strict else (found, 0)
     if spread:
         message = f"{name}: {spread} rows share their stamp with others: spread over the interval of their batch"
@@ -114,6 +121,29 @@ def _not_repeated(stamps_ns: Ints, values: Array, rows: Ints) -> Bools:
                 break
             other -= 1
     return keep
+
+
+def _no_twins(stamps_ns: Ints, values: Array, rows: Ints) -> Bools:
+    """Tell which of the ``rows``, in stamp order, do not repeat the values of the row just before: published twice."""
+    keep = np.ones(rows.size, dtype=bool)
+    equal = np.arange(1, rows.size)
+    for column in values.T:  # few rows are left after the first
+        equal = equal[column[rows[equal]] == column[rows[equal - 1]]]
+    if not equal.size:
+        return keep
+    stamps = stamps_ns[rows]
+    steps = np.diff(stamps)
+    usual = float(np.quantile(steps[steps > 0], 0.75)) if np.any(steps > 0) else 0.0  # of three rows two may be twins
+    near = equal[(steps[equal - 1] > 0) & (steps[equal - 1] < MANY_TWINS * usual)]
+    if near.size < MANY_TWINS * rows.size:
+        near = near[steps[near - 1] < TWIN * usual]
+    keep[near] = False
+    return keep
+
+
+def _told_repeats(name: str, count: int) -> Warn:
+    hint = "is the sensor published or logged twice?"
+    return Warn("duplicate-rows", f"{name}: {count} rows repeat stamp and values of another: dropped", hint)
 
 
 def _spread(stamps_ns: Ints) -> tuple[Ints, int]:

@@ -18,6 +18,7 @@ from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
 MIN_ROWS = 50
 MIN_SECONDS = 2.0
+STEPS_S, FEW_STEPS = (1e-4, 1.0), 20_000  # median step of an IMU; steps that tell it
 LISTED_GAPS = 3
 LARGEST = 1e12  # a raw value beyond this is a damaged number
 FASTEST_RAD_S, STRONGEST_M_S2 = 1e3, 1e5  # no IMU measures more: 57 000 deg/s, 10 000 g
@@ -67,6 +68,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
     ordered = [_in_window(files, part, t0_ns, settings, warnings) for part in parts]
     first = ordered[0]
     _enough(files, first.stamps_ns)
+    _rated(files, first)
     t0_ns = min(t0_ns, int(first.stamps_ns[0]))  # a first batch is spread to before its stamp
     seconds_in, rows_in = float(first.stamps_ns[-1] - first.stamps_ns[0]) * 1e-9, first.rows_in
     stamps_ns, table = (
@@ -250,6 +252,15 @@ def _enough(files: str, stamps_ns: Ints) -> None:
     if stamps_ns.size < MIN_ROWS or seconds < MIN_SECONDS:
         message = f"{files}: only {stamps_ns.size} usable IMU rows over {seconds:.2f} s"
         raise AttestError(message, f"attest needs at least {MIN_ROWS} rows and {MIN_SECONDS:g} s")
+
+
+def _rated(files: str, rows: _Rows) -> None:
+    """Refuse a rate that no IMU has: its stamps mean something else."""
+    steps = np.diff(rows.stamps_ns)
+    step = float(np.median(steps[:: steps.size // FEW_STEPS | 1])) * 1e-9  # odd: rows in pairs are seen
+    if not STEPS_S[0] <= step <= STEPS_S[1]:
+        message = f"{files}: the rows of {rows.channel.name} are {step:.3g} s apart (median): no IMU runs at that rate"
+        raise AttestError(message, "check the unit of its stamps, and whether every row has one of its own")
 
 
 def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn]) -> tuple[Ints, Array]:

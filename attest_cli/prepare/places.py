@@ -18,7 +18,8 @@ COARSE = 3.0  # of sigma: a last digit that is noise of its own
 def degrees(channel: Channel, warnings: list[Warn]) -> Array:
     """Return latitude and longitude (n, 2) in degrees; NaN where a receiver says 0, 0: it has no fix.
 
-    Values beyond any latitude are counts of 1e-7 deg. Values that are all below pi/2 and pi are radians: in degrees
+    Values beyond any latitude are counts of 1e-7 deg where they are integers, else ddmm.mmmm as NMEA sentences have it:
+    whole degrees times 100, plus minutes. Values that are all below pi/2 and pi are radians: in degrees
     they would lie in the Gulf of Guinea.
     """
     place = np.stack([channel.values["latitude"], channel.values["longitude"]], axis=1)
@@ -31,7 +32,9 @@ def degrees(channel: Channel, warnings: list[Warn]) -> Array:
         return place
     largest, middle = known.max(axis=0), np.median(known, axis=0)
     factor, taken = 1.0, ""
-    if middle[0] > 90.0 and largest[0] * INTEGER <= 90.0 and largest[1] * INTEGER <= 180.0:
+    if _in_minutes(known):
+        place, taken = np.trunc(place / 100.0) + np.fmod(place, 100.0) / 60.0, "ddmm.mmmm (degrees and minutes)"
+    elif middle[0] > 90.0 and largest[0] * INTEGER <= 90.0 and largest[1] * INTEGER <= 180.0:
         factor, taken = INTEGER, "1e-7 deg"
     elif largest[0] <= 0.5 * np.pi and largest[1] <= np.pi and middle.min() > SMALL_DEG:
         factor, taken = float(np.degrees(1.0)), "rad"
@@ -39,6 +42,14 @@ def degrees(channel: Channel, warnings: list[Warn]) -> Array:
         fact = f"channel {channel.name}: latitude and longitude of {middle[0]:.10g} and {middle[1]:.10g}"
         warnings.append(Warn("unit-contradicted", f"{fact} taken as {taken}", "write degrees"))
     return place * factor
+
+
+def _in_minutes(known: Array) -> bool:
+    """Tell ddmm.mmmm, absolute values (m, 2): fractions that counts do not have, minutes below 60 all along."""
+    whole, minutes = np.divmod(known, 100.0)
+    beyond = bool(np.any(np.median(known, axis=0) > [90.0, 180.0]))
+    fractions = bool(np.any(known != np.round(known), axis=0).all())
+    return beyond and fractions and bool(np.all(minutes < 60.0) and np.all(whole <= [90.0, 180.0]))
 
 
 def doubts(channel: Channel, place: Array, world: World) -> list[Warn]:

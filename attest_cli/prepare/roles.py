@@ -61,7 +61,9 @@ def choose(recordings: Sequence[Recording], settings: Settings) -> Cast:
 
 
 def joined(recordings: Sequence[Recording]) -> list[Channel]:
-    """Join channels of one name from several files by time; where they overlap they get their file's name instead."""
+    """Join channels of one name from several files by time; where they overlap and differ, they get their file's name
+    instead.
+    """
     by_name: dict[str, list[tuple[Recording, Channel]]] = {}
     for recording in recordings:
         for channel in (c for c in recording.channels if c.stamps_ns.size):
@@ -69,8 +71,10 @@ def joined(recordings: Sequence[Recording]) -> list[Channel]:
     found = []
     for name, parts in by_name.items():
         channels = [channel for _, channel in sorted(parts, key=lambda part: int(part[1].stamps_ns[0]))]
-        follows = all(b.stamps_ns[0] > a.stamps_ns[-1] - JOIN_OVERLAP_NS for a, b in pairwise(channels))
         alike = len({(channel.role, tuple(channel.values), tuple(channel.units.items())) for channel in channels}) == 1
+        if alike:
+            channels = [channels[0], *(_after(a, b) for a, b in pairwise(channels))]
+        follows = all(b.stamps_ns[0] > a.stamps_ns[-1] - JOIN_OVERLAP_NS for a, b in pairwise(channels))
         if len(channels) == 1 or (follows and alike):
             found.append(_concatenated(channels))
         else:
@@ -78,6 +82,20 @@ def joined(recordings: Sequence[Recording]) -> list[Channel]:
             files = [recording.source.stem if named else str(recording.source) for recording, _ in parts]
             found += [replace(channel, name=f"{file}:{name}") for file, (_, channel) in zip(files, parts, strict=True)]
     return found
+
+
+def _after(first: Channel, second: Channel) -> Channel:
+    """Return what ``second`` adds to ``first``, if all that it has of the same time is the same."""
+    repeated = int(np.searchsorted(second.stamps_ns, first.stamps_ns[-1], side="right"))
+    if not 0 < repeated < second.stamps_ns.size or np.any(np.diff(second.stamps_ns) < 0):
+        return second
+    same = first.stamps_ns.size - repeated
+    if same < 0 or not np.array_equal(first.stamps_ns[same:], second.stamps_ns[:repeated]):
+        return second
+    if not all(np.array_equal(first.values[k][same:], v[:repeated], equal_nan=True) for k, v in second.values.items()):
+        return second
+    values = {name: column[repeated:] for name, column in second.values.items()}
+    return replace(second, stamps_ns=second.stamps_ns[repeated:], values=values)
 
 
 def with_named(recordings: Sequence[Recording], settings: Settings) -> list[Channel]:
@@ -153,8 +171,8 @@ def _best(role: str, candidates: list[Channel], imu: Channel | None, warnings: l
     """Take the channel beside the IMU if there is one, else the one with most rows; say so where it was a choice."""
     if len(candidates) == 1:
         return candidates[0]
-    if imu is not None:
-        beside = [channel for channel in candidates if channel.name.rpartition("/")[0] == imu.name.rpartition("/")[0]]
+    for place in (_file, _space):
+        beside = [channel for channel in candidates if imu is not None and place(channel) == place(imu)]
         if len(beside) == 1:
             return beside[0]
     best = max(candidates, key=lambda channel: channel.stamps_ns.size)  # rate x span; the first of equals
@@ -163,6 +181,16 @@ def _best(role: str, candidates: list[Channel], imu: Channel | None, warnings: l
     hint = f"--map {role}=... takes another"
     warnings.append(Warn("several-channels", f"{len(candidates)} {what}: {names}; {best.name} is used", hint))
     return best
+
+
+def _file(channel: Channel) -> str:
+    """Return the file that a channel is named after, where several have its name."""
+    return channel.name.partition(":")[0] if ":" in channel.name else ""
+
+
+def _space(channel: Channel) -> str:
+    """Return the name space of a topic."""
+    return channel.name.rpartition("/")[0]
 
 
 def _no_imu(recordings: Sequence[Recording], found: Sequence[Channel], cast: Mapping[str, Channel]) -> tuple[str, str]:

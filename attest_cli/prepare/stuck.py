@@ -13,22 +13,32 @@ STUCK_S, LEAST_ROWS = 0.4, 8  # of equal values
 USUAL = 0.25  # of such a run: values that often repeat for longer are too coarse to tell
 LIVELY = 0.25  # share of the rows that must change
 BESIDE, ABRUPT = 3, 0.05  # steps on either side, share of a usual one: noise-free simulations come to rest smoothly
+SOME = 2000  # rows that mostly show that a column is sound
 COARSE_RAD_S = 2e-3  # 16 bits over 2000 deg/s are half of it
 COARSE, QUANTA = 1e-3, 3.5  # of a usual step; a coarse sensor at rest holds its value until it changes by one
 
 
-def stuck(t: Array, values: Array) -> list[Bools]:
-    """Tell, for each column of ``values`` (n, k), the rows (n,) that repeat the row before in a run of 0.4 s or longer.
+def stuck(t: Array, *tables: Array) -> list[Bools]:
+    """Tell, for each column of tables (n, k), the rows (n,) that repeat the row before in a run of 0.4 s or longer.
 
     Not in a column that is coarse or constant, nor at the end of its range, where it is clipped.
     """
-    return [_stuck(t, np.ascontiguousarray(column)) for column in values.T]
+    period = float(np.median(np.diff(t)))
+    return [_stuck(t, period, column) for values in tables for column in values.T]
 
 
-def dead(values: Array) -> Bools:
-    """Tell which columns (k,) never change, beside others that do."""
-    constant = np.ptp(values, axis=0) == 0.0
+def dead(*tables: Array) -> Bools:
+    """Tell which columns (k,) of tables never change, beside others that do."""
+    constant = np.concatenate([unchanging(values) for values in tables])
     return np.asarray(constant & ~constant.all())
+
+
+def unchanging(values: Array) -> Bools:
+    """Tell which columns (k,) of values (n, k) hold one value."""
+    constant = np.ptp(values[:: max(len(values) // SOME, 1)], axis=0) == 0.0
+    if constant.any():
+        constant = np.ptp(values, axis=0) == 0.0
+    return np.asarray(constant)
 
 
 def told(name: str, columns: Sequence[str], found: Sequence[Bools], t: Array) -> list[Warn]:
@@ -47,6 +57,9 @@ def told(name: str, columns: Sequence[str], found: Sequence[Bools], t: Array) ->
 
 def told_coarse(name: str, gyro: Array) -> list[Warn]:
     """Say where the gyro (n, 3), rad/s, is rounded so coarsely that its bias is not to be seen."""
+    few = np.abs(np.diff(gyro[:SOME], axis=0))
+    if np.any((few > 0.0) & (few < COARSE_RAD_S)):
+        return []
     least = min(float(steps[steps > 0.0].min(initial=np.inf)) for steps in (np.abs(np.diff(x)) for x in gyro.T))
     if not COARSE_RAD_S <= least < np.inf:
         return []
@@ -66,15 +79,15 @@ def told_dead(name: str, columns: Sequence[str], constant: Bools) -> list[Warn]:
     return [Warn("imu-stuck", f"{name}: {', '.join(which)} never changes: a dead axis", hint)]
 
 
-def _stuck(t: Array, x: Array) -> Bools:
+def _stuck(t: Array, period: float, x: Array) -> Bools:
     """Tell the stuck rows of one column."""
     out = np.zeros(len(x), dtype=np.bool_)
+    least = max(LEAST_ROWS, round(STUCK_S / period))
+    some = x[:: least // 2]  # of any long run two in a row
+    if not np.any(some[1:] == some[:-1]):
+        return out
     change = np.diff(x)
     first, last = _runs(change == 0.0)
-    if not first.size:
-        return out
-    period = float(np.median(np.diff(t)))
-    least = max(LEAST_ROWS, round(STUCK_S / period))
     length = last - first
     long = length >= least
     usual = int(length[~long].max(initial=0))

@@ -89,9 +89,8 @@ def accelerometer(channel: Channel, names: Sequence[str], t: Array, gravity: flo
         If gravity is missing from the values: then no attitude can be had from them.
     """
     quantity = in_si(channel, names, SI["accel"])
-    still = _steady_norm(t, quantity.values)
+    still, calm = _steady_norms(t, quantity.values)
     if 0.5 < still / gravity < 2.0:
-        calm = _calm_norm(t, quantity.values)
         if abs(calm / gravity - 1.0) > SCALE_OFF:
             message = f"channel {channel.name}: the accelerometer at its calmest shows {calm:.2f} m/s^2"
             hint = "check its scale; elsewhere than on Earth, state world.gravity_m_s2"
@@ -130,7 +129,7 @@ def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, wa
     taken = quantity.stated or SI["gyro"]
     other = "rad/s" if taken == "deg/s" else "deg/s"
     ratio = unit(other)[0] / unit(taken)[0]
-    as_taken, as_other = (turning(t, quantity.values, accel, factor) for factor in (1.0, ratio))
+    as_taken, as_other = turning(t, quantity.values, accel, (1.0, ratio))
     if as_other > max(AGREEMENT, as_taken):
         fact = f"the turning of gravity agrees with {other} ({as_other:.0%} of it explained)"
         warnings.append(_told(channel, "gyro", quantity.stated, other, fact))
@@ -187,7 +186,8 @@ def _says_g(warning: Warn, channel: Channel) -> bool:
 def _refuse_counts(channel: Channel, t: Array, gyro: Array, accel: Array) -> None:
     """Refuse raw counts of a gyro: faster than any in deg/s, or at a usual scale they agree with gravity's turning."""
     usual = float(np.quantile(np.abs(gyro), 0.99))
-    agreed, scale = max((turning(t, gyro * (unit("deg/s")[0] / c), accel), c) for c in GYRO_COUNTS)
+    agreements = turning(t, gyro, accel, [unit("deg/s")[0] / c for c in GYRO_COUNTS])
+    agreed, scale = max(zip(agreements, GYRO_COUNTS, strict=True))
     if agreed < AGREEMENT and usual < FASTEST_DEG_S:
         return
     fact = f"they agree with {scale:g} per deg/s" if agreed > AGREEMENT else f"{_digits(usual)} is no rate in deg/s"
@@ -227,31 +227,43 @@ class Turns:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a value of 1e300 is a spike, and falls out later
-def turns(t: Array, gyro: Array, accel: Array, window_s: float = WINDOW_S, scale: float = 1.0) -> Turns:
-    """Average gyro (``scale``: to rad/s) and specific force over windows; keep small steps near gravity."""
+def turns(
+    t: Array, gyro: Array, accel: Array, window_s: float = WINDOW_S, scales: Sequence[float] = (1.0,)
+) -> list[Turns]:
+    """Average gyro and specific force over windows; for each scale (of the gyro, to rad/s) keep small steps near
+    gravity.
+    """
     edges = _windows(t, window_s)
     if edges.size < MIN_WINDOWS:
-        return Turns(np.empty(0), *np.empty((3, 0, 3)))
+        return [Turns(np.empty(0), *np.empty((3, 0, 3))) for _ in scales]
     counts = np.diff(edges)[:, None]
     force, rate = (np.add.reduceat(values, edges[:-1], axis=0) / counts for values in (accel, gyro))
     middle = np.add.reduceat(t, edges[:-1]) / counts[:, 0]
     norms = np.linalg.norm(force, axis=1)
     u = force / np.where(norms > 0.0, norms, 1.0)[:, None]
     seen, step = np.diff(u, axis=0), np.diff(middle)
-    angle = 0.5 * scale * (rate[1:] + rate[:-1]) * step[:, None]
     near = np.abs(norms / np.median(norms) - 1.0) < 0.1
-    good = near[1:] & near[:-1] & (np.linalg.norm(angle, axis=1) < LARGEST_TURN) & (step < 2.0 * window_s)
-    return Turns(step[good], angle[good], 0.5 * (u[1:] + u[:-1])[good], seen[good])
+    level = near[1:] & near[:-1] & (step < 2.0 * window_s)
+    found = []
+    for scale in scales:
+        angle = 0.5 * scale * (rate[1:] + rate[:-1]) * step[:, None]
+        good = level & (np.linalg.norm(angle, axis=1) < LARGEST_TURN)
+        found.append(Turns(step[good], angle[good], 0.5 * (u[1:] + u[:-1])[good], seen[good]))
+    return found
 
 
-def turning(t: Array, gyro: Array, accel: Array, scale: float = 1.0) -> float:
-    r"""Compare the gyro (times ``scale``: rad/s) with the turning of the specific force's direction u.
+def turning(t: Array, gyro: Array, accel: Array, scales: Sequence[float] = (1.0,)) -> list[float]:
+    r"""Compare the gyro (times each of ``scales``: rad/s) with the turning of the specific force's direction u.
 
     Between windows that turn by less than half a radian, :math:`\Delta u = -\theta \times u` with the gyro's angle
     :math:`\theta`. Returns the agreement: the share of :math:`\Delta u` that this explains, negative if reversed;
     0 where nothing turns or gravity does not stand out. A wrong scale explains little: 1/57 of it, or nothing.
     """
-    found = turns(t, gyro, accel, scale=scale)
+    return [_agreement(found) for found in turns(t, gyro, accel, scales=scales)]
+
+
+def _agreement(found: Turns) -> float:
+    """Return the share of the turning of gravity that the gyro explains."""
     seen, expected = found.seen, -np.cross(found.angle, found.up)
     total = float(np.sum(seen**2))
     if len(seen) < MIN_WINDOWS or total == 0.0:
@@ -262,22 +274,17 @@ def turning(t: Array, gyro: Array, accel: Array, scale: float = 1.0) -> float:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def _steady_norm(t: Array, accel: Array) -> float:
-    """Return the median norm of the specific force averaged over windows: vibration averages out, gravity stays."""
+def _steady_norms(t: Array, accel: Array) -> tuple[float, float]:
+    """Return the median norm of the specific force averaged over windows, where vibration averages out and gravity
+    stays, and that over the tenth of the windows that vary least: at rest, where there is any.
+    """
     edges = _windows(t)
-    means = np.add.reduceat(accel, edges[:-1], axis=0) / np.diff(edges)[:, None]
-    return float(np.median(np.linalg.norm(means, axis=1)))
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def _calm_norm(t: Array, accel: Array) -> float:
-    """Return the median norm of the tenth of the windows that vary least: at rest, where there is any."""
-    edges = _windows(t)
-    counts = np.diff(edges)[:, None]
-    means = np.add.reduceat(accel, edges[:-1], axis=0) / counts
-    spread = np.sum(np.add.reduceat(accel**2, edges[:-1], axis=0) / counts - means**2, axis=1)
-    calm = spread <= np.quantile(spread, CALM_SHARE)
-    return float(np.median(np.linalg.norm(means[calm], axis=1)))
+    counts = np.diff(edges)
+    means = np.add.reduceat(accel, edges[:-1], axis=0) / counts[:, None]
+    squares = np.add.reduceat(np.einsum("ij,ij->i", accel, accel), edges[:-1]) / counts
+    spread, norms = squares - np.sum(means**2, axis=1), np.linalg.norm(means, axis=1)
+    calm = np.argsort(spread)[: int(CALM_SHARE * (len(spread) - 1)) + 1]
+    return float(np.median(norms)), float(np.median(norms[calm]))
 
 
 def _windows(t: Array, window_s: float = WINDOW_S) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

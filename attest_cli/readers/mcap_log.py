@@ -25,6 +25,7 @@ from .wires import Wires
 RECOVER = "mcap recover saves what is whole"
 AGAIN = "copy or record it again: what is missing cannot be mended"
 SHOWN = 3  # damaged places that are named
+LEAST_BYTES = 16  # of a message in a file, compressed: no room is made for more of them than a file can hold
 
 
 def read(path: Path, settings: Settings) -> Recording:
@@ -77,6 +78,7 @@ class Decoder:
         self._wires = Wires(path)
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, Topic | None] = {}
+        self._most = 0  # messages that room may still be made for
 
     @property
     def known(self) -> dict[int, Topic]:
@@ -85,6 +87,7 @@ class Decoder:
 
     def read(self, stream: BinaryIO, size: int) -> None:
         """Decode what the file holds."""
+        self._most = size // LEAST_BYTES
         for record in batches(stream, size, self.damage):
             if isinstance(record, Batch):
                 self._add(record)
@@ -100,6 +103,9 @@ class Decoder:
             self._topics[record.id] = None if isinstance(opened, str) else opened
             if isinstance(opened, str):
                 self.other[record.topic] = opened
+            elif self.summary is not None:
+                opened.expected = min(self.summary.counts.get(record.id, 0), self._most)
+                self._most -= opened.expected
 
     def _add(self, batch: Batch) -> None:
         """Hand the messages of a batch to their channels."""

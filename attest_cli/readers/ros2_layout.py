@@ -62,8 +62,7 @@ class Layout:
         every: NDArray[np.void] = np.ndarray((data.size - self.needed + 1,), whole, data, strides=(1,))
         messages = every[start]  # one copy a message
         rows = messages.view(np.uint8).reshape(len(start), self.needed)
-        if not all(np.array_equal(rows[:, at : at + len(same)], np.broadcast_to(same, (len(start), len(same))))
-                   for at, same in self.fixed):  # fmt: skip
+        if any(rows[:, at : at + len(same)].tobytes() != same.tobytes() * len(start) for at, same in self.fixed):
             return None
         out = np.empty((len(self.wanted), len(start)))
         for row, (at, kind) in zip(out, self.wanted, strict=True):

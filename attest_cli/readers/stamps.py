@@ -23,7 +23,6 @@ NUMBER = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$"
 """Text that is a stamp."""
 
 WAY_OUT = 'name the unit in the header: "timestamp_ns", "time [ms]", "t_us"; for a text log also with --time-unit'
-COUNT_HINT = "in a text log --sample-rate HZ makes time of a counter, or of the rows"
 
 
 def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, ...]]:

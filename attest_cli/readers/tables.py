@@ -22,7 +22,6 @@ from .columns import (
     time_columns,
     words_of,
 )
-from .stamps import COUNT_HINT
 
 EXTRA: Mapping[str, tuple[str, ...]] = {
     "odometry": ("speed", "velocity_sigma_x", "velocity_sigma_y", "velocity_sigma_z"),
@@ -43,6 +42,7 @@ MAX_TABLE_BYTES = 2 << 30
 SUSPECT_BYTES, MOST_EXPANDED = 256 << 20, 100  # beyond both a file is a bomb: noise does not pack
 """Limit of rows x columns in use x 8 bytes."""
 
+COUNT_HINT = "in a text log --sample-rate HZ makes time of a counter, or of the rows"
 NAMES_HINT = (
     "name the columns, for instance timestamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z; "
     'without touching a text log: --columns "OLD=gyro_x [rad/s],..."'

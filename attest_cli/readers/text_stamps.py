@@ -12,7 +12,7 @@ from ..errors import AttestError
 from ..records import Array, Bools, Ints, Warn
 from . import stamps
 from .dialect import DATE, Dialect
-from .tables import Layout
+from .tables import COUNT_HINT, Layout
 
 Stamps = tuple[Ints, Array, tuple[Warn, ...]]
 
@@ -60,7 +60,7 @@ def stamps_of(path: Path, dialect: Dialect, layout: Layout, table: pa.Table, imu
             found, valid = found + whole, valid + 0.0 * known
         told += _rounded(path, column, found[~np.isnan(valid)], 10 ** stamps.DIGITS[unit])
     if np.all(np.isnan(valid)):
-        hint = f'map another one: --columns "NAME=time [s]"; {stamps.COUNT_HINT}'
+        hint = f'map another one: --columns "NAME=time [s]"; {COUNT_HINT}'
         raise AttestError(f"{path}: the time column {time.name!r} holds no readable time", hint)
     return found, valid, told
 

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -18,6 +19,7 @@ from .ros2_layout import Bytes, Layout
 
 CLOCK_OFFSET_S = 0.05
 """Header stamps of two topics that differ by more against the time of logging are on different clocks."""
+Table = TypeVar("Table", Array, Ints)
 LATEST_S = LATEST_NS // 10**9
 
 UNDECODABLE = (
@@ -55,6 +57,7 @@ class Topic:
     imu: Array = field(default_factory=lambda: np.empty((0, 0)))  # those columns of the type, side by side; and room
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
     count: int = 0
+    expected: int = 0  # messages that the file states: room is made for them at once
 
     def clocks(self) -> Ints:
         """Return header stamp, time of logging and time of publishing, (3, n) ns."""
@@ -79,12 +82,12 @@ class Topic:
             raise AttestError(f"{path}: a stamp of {self.name} is no time", NOT_OF_TYPE)
         header = found[0].astype(np.int64) * 1_000_000_000 + found[1].astype(np.int64)
         stamps, end = (header, batch.log_ns[rows], batch.publish_ns[rows]), self.count + rows.size
-        if end > len(self.stamps):  # grown in place: pages that are not written to are not there
-            room = max(end, 2 * len(self.stamps))
-            self.stamps.resize((room, len(stamps)), refcheck=False)
+        if end > len(self.stamps):
+            room = max(end, self.expected, 2 * len(self.stamps))
             of_imu = sum(name in COLUMNS["imu"] for name in self.type.columns)  # they come first
-            self.imu.resize((room, of_imu), refcheck=False)
-            self.others.resize((room, len(self.type.columns) - of_imu), refcheck=False)
+            self.stamps = _roomier(self.stamps[: self.count], room, len(stamps))
+            self.imu = _roomier(self.imu[: self.count], room, of_imu)
+            self.others = _roomier(self.others[: self.count], room, len(self.type.columns) - of_imu)
         self.stamps[self.count : end] = np.stack(stamps, axis=1)
         table = self.type.table(found[2:]).T
         self.imu[self.count : end] = table[:, : self.imu.shape[1]]
@@ -116,6 +119,13 @@ class Topic:
             raise AttestError(reason, NOT_OF_TYPE) from None
         self.frame_id = self.frame_id or frame_id
         return row
+
+
+def _roomier(table: Table, rows: int, columns: int) -> Table:
+    """Return a table with room for more rows; pages that are not written to are not there."""
+    out = np.empty((rows, columns), dtype=table.dtype)
+    out[: len(table)] = table.reshape(len(table), columns)
+    return out
 
 
 def recording(

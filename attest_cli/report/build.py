@@ -14,7 +14,7 @@ import numpy as np
 from .. import __version__
 from ..assess import Pass
 from ..estimate import Estimate
-from ..maths.consistency import FEW, mean_nis, noise_status, rejection_status
+from ..maths.consistency import FEW, lasting, mean_nis, noise_status, rejection_status
 from ..position import Position
 from ..records import Array, Innovations, Log, Recording, Segmentation, Warn
 from ..settings import Effective
@@ -27,8 +27,13 @@ SENSOR_NAMES = {
     "compass": "compass",
     "magnetometer": "magnetometer",
     "orientation": "orientation",
+    "gps": "GPS",
+    "gps_velocity": "GPS velocity",
+    "position": "position fixes",
+    "height": "height",
 }
 POSITIONS = {"gps", "gps_velocity", "position"}
+HEADING_SENSORS = {"compass", "orientation"}
 BY_NIS = {"smaller": "are better than", "fits": "fit", "larger": "are worse than"}
 
 
@@ -55,10 +60,13 @@ def build(run: Run) -> dict[str, Any]:
     """Return the report without its pages."""
     statistics = _statistics(run)
     checks = _checks(run, statistics)
+    verdict = _verdict(run, checks)
+    if verdict == "FAIL" and any(c["status"] == "FAIL" for c in checks):  # its sigma does not hold
+        statistics["position_usable"] = False
     return {
         "attest_version": __version__,
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "verdict": _verdict(run, checks),
+        "verdict": verdict,
         "input": _input(run),
         "channels": _channels(run),
         "coverage": _coverage(run.log),
@@ -79,7 +87,11 @@ def build(run: Run) -> dict[str, Any]:
         "gaps": [[float(a), float(b)] for a, b in run.log.gaps],
         "shown": [asdict(shown) for shown in run.est.shown],
         "pages": [],
-        "history": [*run.log.history, *run.est.world.notes],
+        "history": [
+            *(f"{r.source.name}: {note.strip()}" for r in run.recordings for note in r.notes),
+            *run.log.history,
+            *run.est.world.notes,
+        ],
     }
 
 
@@ -90,7 +102,7 @@ def _input(run: Run) -> dict[str, Any]:
     sensors = [name for role, name in SENSOR_NAMES.items() if role in used]
     if "gravity" in used and not run.segmentation.stops:
         sensors = [s.replace("accelerometer at stops", "accelerometer over long windows") for s in sensors]
-    if run.position is not None and run.position.method == "odometry":
+    if "odometry" in used or (run.position is not None and run.position.method == "odometry"):
         sensors.append("odometry")
     start = datetime.fromtimestamp(t0 * 1e-9, UTC).isoformat(timespec="milliseconds") if t0 > FIRST_EPOCH_NS else None
     return {
@@ -284,7 +296,19 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
         fact = f"{name.capitalize()} innovations {BY_NIS[mean_nis(*judged)]} their noise"
         detail = f"mean NIS {s['mean_nis']:.2g} for {_degrees(s['dof'])}"
         lines.append(_check(f"innovations-{role}", status == "PASS", fact, detail, fatal=status == "FAIL"))
+        if role in HEADING_SENSORS:
+            lines += _lasting_check(role, found, s["dof"])
     return lines
+
+
+def _lasting_check(role: str, found: Innovations, dof: int) -> list[dict[str, Any]]:
+    """Say where a sensor's error lasts from reading to reading: the smoother takes them for independent."""
+    square, sums = lasting(found.z[(found.role == role) & found.used, :dof])
+    if noise_status(square, sums, dof) == "PASS":
+        return []
+    fact = f"{role.capitalize()} errors last: its readings are not independent"
+    detail = f"ten together are off by {np.sqrt(square / dof):.1f} sigma; state a wider sigma_deg under [{role}]"
+    return [_check(f"lasting-{role}", False, fact, detail, fatal=noise_status(square, sums, dof) == "FAIL")]
 
 
 def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -86,7 +86,7 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         statistic=statistic,
         enter=limits.enter,
         leave=limits.leave,
-        bias_b=imu.gyro_b[still].mean(axis=0) if still.any() else np.zeros(3),
+        bias_b=still.astype(float) @ imu.gyro_b / np.count_nonzero(still) if still.any() else np.zeros(3),
         margin=margin,
         source="file" if stops.file is not None else "odometry" if turning.any() else "imu",
         warnings=told if stops.file is None else (),

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from attest_cli.app import app
+from attest_cli.records import COLUMNS
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +80,12 @@ def test_the_changelog_knows_this_version(root: Path) -> None:
     from attest_cli import __version__
 
     assert f"## [{__version__}]" in (root / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_columns_of_the_readme_are_those_of_every_role(readme: str) -> None:
+    table = re.search(r"### Columns\n(.*?)\n## ", readme, re.DOTALL)
+    assert table is not None
+    rows = re.findall(r"^\| (\w+) \| (.*?) \|", table[1], re.MULTILINE)
+    named = {role: re.findall(r"`(\w+)`", columns) for role, columns in rows if role not in {"role", "time"}}
+    assert {"gyro", "accel"} | named.keys() == COLUMNS.keys()
+    assert all(columns[: len(COLUMNS[role])] == list(COLUMNS[role]) for role, columns in named.items())

@@ -153,6 +153,8 @@ VALUES: dict[str, Fault] = {
     "small gyro spikes": Fault("bare", ("imu-spikes", "gyro-noise-raised"), spikes(20, 3.0, "gyro_z")),
     "spikes of 3 samples": Fault("bare", ("imu-spikes", "gyro-noise-raised", "separation"),
                                  spikes(15, 8.0, "gyro_z", width=3)),
+    "compass drifts": Fault("compass", ("lasting-compass",), lambda d: d.changed(
+        compass_deg=(d.columns["compass_deg"] + 0.1 * d.t) % 360.0)),
     "values of 1e300": Fault("sun", ("imu-spikes", "imu-not-finite", "not finite"), spikes(3, 1e300, "gyro_x")),
     "float32 values": Fault("sun", (), lambda d: d.changed(
         **{n: d.columns[n].astype(np.float32).astype(np.float64) for n in (*GYRO, *ACCEL)})),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +212,42 @@ class TestFiles:
         np.testing.assert_array_equal(log.imu.accel_b[:, 2], whole.values["accel_z"])
         assert log.warnings == ()
 
+    @pytest.mark.parametrize("changed", [0.0, 1e-9])
+    def test_files_that_share_rows_are_joined_if_those_are_the_same(self, changed: float) -> None:
+        """Cut with an overlap: nothing is lost, and nothing counts twice. Two IMUs differ in the same time."""
+        whole = imu(1000)
+        parts = [
+            recording(
+                Channel(
+                    "imu",
+                    "columns",
+                    "imu",
+                    whole.stamps_ns[rows],
+                    {k: v[rows] + more for k, v in whole.values.items()},
+                    UNITS,
+                ),
+                name=name,
+            )
+            for name, rows, more in (("b.csv", slice(400, None), changed), ("a.csv", slice(0, 600), 0.0))
+        ]
+        log = prepare(parts, Settings())
+        if changed:
+            assert codes(log) == ["several-channels"]
+        else:
+            np.testing.assert_array_equal(log.stamps_ns, whole.stamps_ns)
+            np.testing.assert_array_equal(log.imu.accel_b[:, 2], whole.values["accel_z"])
+            assert log.warnings == ()
+
+    def test_a_sensor_is_taken_from_the_file_of_the_imu(self) -> None:
+        files = [
+            [recording(imu(name="imu", seed=seed), name=f"{name}.csv"),
+             recording(fixes("sun", [1.0, 2.0, 3.0][:n], [[0, 0.1 * n, 0.8]] * n), name=f"{name}.csv")]
+            for name, seed, n in (("left", 1, 2), ("right", 2, 3))
+        ]  # fmt: skip
+        both = [replace(imu_part, channels=(*imu_part.channels, *sun.channels)) for imu_part, sun in files]
+        log = prepare(both, Settings.model_validate({"imu": {"channel": "left:imu"}}))
+        assert len(log.fixes["sun"].t) == 2
+
     def test_sensors_in_files_of_their_own_are_one_log(self) -> None:
         log = prepare(
             [recording(imu()), recording(fixes("sun", [1.0, 2.0], [[0, 0.6, 0.8], [0, 0.8, 0.6]]), name="sun.csv")],
@@ -287,6 +324,13 @@ class TestRows:
         if n:
             assert f"only {n} usable IMU rows" in refused.value.message
             assert "at least 50 rows and 2 s" in refused.value.hint
+
+    @pytest.mark.parametrize("step_ns", [50_000, 1_500_000_000])
+    def test_a_rate_that_no_imu_has_is_refused(self, step_ns: int) -> None:
+        channel = imu(50_000)
+        channel.stamps_ns[:] = T0 + np.arange(50_000) * step_ns
+        with pytest.raises(AttestError, match="no IMU runs at that rate"):
+            log_of(channel)
 
     def test_swapped_and_repeated_rows_equal_the_clean_log(self) -> None:
         clean = imu()

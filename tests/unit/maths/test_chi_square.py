@@ -20,3 +20,17 @@ def test_density_and_tails(dof: int) -> None:
 @pytest.mark.parametrize("probability", [1 - 5e-5, 0.975, 0.5, 0.025, 1e-4, 1e-6])
 def test_upper_quantile(dof: int, probability: float) -> None:
     assert consistency.upper_quantile(dof, probability) == pytest.approx(chi2.isf(probability, dof), rel=1e-8)
+
+
+def test_an_error_that_lasts_stands_out_of_white_noise() -> None:
+    """However wide the stated sigma: a wander of half a sigma is three of ten readings together."""
+    rng = np.random.default_rng(1)
+    white = rng.normal(size=(400, 2))
+    square, sums = consistency.lasting(white)
+    assert sums == 40
+    assert consistency.noise_status(square, sums, 2) == "PASS"
+    drifting = 0.3 * white + np.linspace(-1.0, 1.0, 400)[:, None]
+    square, sums = consistency.lasting(drifting)
+    assert square > 4.0
+    assert consistency.noise_status(square, sums, 2) != "PASS"
+    assert consistency.lasting(white[:9]) == (0.0, 0)

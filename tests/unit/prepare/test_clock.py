@@ -57,6 +57,30 @@ def test_repeats_of_stamp_and_values_are_dropped_and_counted() -> None:
     assert "3 rows" in warning.message
 
 
+@pytest.mark.parametrize("apart_ns", [1, 1000, 100_000, 1_000_000])
+def test_an_imu_published_twice_is_read_once(apart_ns: int) -> None:
+    stamps_ns = (clean()[:, None] + [0, apart_ns]).ravel()
+    ordered = in_order("log", stamps_ns, np.repeat(values(100), 2, axis=0), T0)
+    np.testing.assert_array_equal(ordered.stamps_ns, clean())
+    (warning,) = ordered.warnings
+    assert warning.code == "duplicate-rows"
+    assert "100 rows" in warning.message
+    late = np.r_[:40, 42, 43, 40, 41, 44:200]  # the same, of a log with rows to sort
+    sorted_first = in_order("log", stamps_ns[late], np.repeat(values(100), 2, axis=0)[late], T0)
+    np.testing.assert_array_equal(sorted_first.stamps_ns, clean())
+
+
+def test_equal_values_a_step_apart_or_other_values_just_after_are_measured() -> None:
+    held = np.repeat(values(50), 2, axis=0)  # a slow sensor, logged at twice its rate
+    assert in_order("log", clean(), held, T0).warnings == ()
+    pairs = (clean(50)[:, None] + [0, 1000]).ravel()
+    assert in_order("log", pairs, values(100), T0).warnings == ()
+    few = clean() + np.where(np.arange(100) == 40, -9 * MS, 0)  # one late thread, at rest
+    still = values(100)
+    still[40] = still[39]
+    assert in_order("log", few, still, T0).warnings == ()
+
+
 def test_a_usb_batch_is_spread_over_its_interval() -> None:
     arrivals = np.repeat(T0 + (1 + np.arange(25)) * 40 * MS, 4)  # four samples at 100 Hz arrive together
     ordered = in_order("log", arrivals, values(100), T0)

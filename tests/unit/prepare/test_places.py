@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,21 @@ def test_radians_that_are_stated_need_no_word() -> None:
     told: list[Warn] = []
     np.testing.assert_allclose(places.degrees(channel(np.pi / 180, "rad"), told)[0], LAUSANNE, rtol=1e-6)
     assert not told
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("longitude", [6.6, 0.4, 106.6])
+def test_degrees_and_minutes_of_nmea_are_told_from_counts(sign: float, longitude: float) -> None:
+    true = sign * (np.array([46.5, longitude]) + np.arange(20)[:, None] * [1e-5, 2e-5])
+    whole = np.trunc(true)
+    written = np.round(100.0 * whole + 60.0 * (true - whole), 6)
+    told: list[Warn] = []
+    c = channel()
+    c = replace(c, values={"latitude": written[:, 0], "longitude": written[:, 1]})
+    np.testing.assert_allclose(places.degrees(c, told), true, atol=2e-8)
+    (warning,) = told
+    assert warning.code == "unit-contradicted"
+    assert "ddmm.mmmm" in warning.message
 
 
 def test_zero_zero_is_no_fix() -> None:

@@ -138,7 +138,7 @@ def test_broad(load) -> None:
 
 
 def test_a_table_that_repeats_its_gps_between_fixes_gives_the_fixes_only(load) -> None:
-    _, log = load("wid/trial02_GNSS.parquet", "unit-guessed", "stale-repeats")
+    _, log = load("wid/trial02_GNSS.parquet", "unit-guessed", "stale-repeats", "gyro-against-heading")
     assert log.fixes["gps"].t.size < 1000 < log.imu.t.size
 
 
