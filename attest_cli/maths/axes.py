@@ -41,5 +41,9 @@ def in_words(axes: Array) -> str:
     if np.array_equal(axes, -np.eye(3)):
         return "the gyro is reversed, or the axes of both are left-handed"
     sensor, M = min(_readings(axes).items(), key=lambda pair: int(np.sum(np.diag(pair[1]) != 1.0)))
-    names = [f"{'-' if row.sum() < 0.0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in M]
-    return f"they would agree, were the {sensor}'s x, y, z its {', '.join(names)}"
+    return f"they would agree, were the {sensor}'s x, y, z its {axes_in_words(M)}"
+
+
+def axes_in_words(axes: Array) -> str:
+    """Name the signed axes of the rows, as ``y, -x, z``."""
+    return ", ".join(f"{'-' if row.sum() < 0.0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in axes)

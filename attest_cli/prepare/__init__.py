@@ -8,7 +8,7 @@ import numpy as np
 
 from ..records import Fixes, Log, Recording, Warn
 from ..settings import Settings
-from . import course, quaternions
+from . import axes, course, quaternions
 from .clock import seconds
 from .fixes import Span, fixes_of
 from .imu import ImuRows, imu_rows
@@ -53,6 +53,8 @@ def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool 
     fixes = _fixes(cast, span, settings, warnings)
     fixes = _changing(fixes, rows, warnings)
     warnings += course.doubts(fixes, rows.imu)
+    if "magnetometer" in fixes and all(warn.code != "gyro-against-accel" for warn in warnings):
+        warnings += axes.of_field(fixes["magnetometer"], rows.imu)
     warnings += quaternions.doubts(fixes["orientation"], rows.imu) if "orientation" in fixes else []
     log = Log(
         sources=tuple(recording.source for recording in recordings),

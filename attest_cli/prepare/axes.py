@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..maths.axes import in_words, signed_permutations
+from ..maths.axes import axes_in_words, in_words, signed_permutations
 from ..maths.rotation import cross
-from ..records import Array, Warn
+from ..records import Array, Fixes, Imu, Warn
 from .units import AGREEMENT, Turns, turns
 
 SURE, CLEARLY = (6.0, 2.5), (0.8, 0.5)  # sigma of the difference, and share of the misfit, of either of which pairs
 SCALES, FAR_SCALES = (0.5, 2.0), (0.15, 4.0)  # of a gyro with other axes; beyond it is another unit, or another clock
 SCALED = 0.6  # share of the turning of gravity that another scale must explain
 WINDOWS_S = (0.5, 0.15)  # for what drives, and for what is waved about
-MOST = 4000  # turns of a log
+MOST, LONGEST_S = 4000, 1800.0  # turns of a log; of it that a field is compared over
 FEW = 12  # turns that show nothing
 NEAR = 1e-6  # of what is seen: misfits nearer to the least are worked out turn by turn
 HINT = "[imu] mounting cannot mend one of the two: put signs and order right in the driver, or with --columns"
@@ -46,23 +46,51 @@ def doubts(name: str, t: Array, gyro: Array, accel: Array) -> list[Warn]:
     by a fifth, or by half. Where the axes agree, so must the scale, to a factor of four. Nothing is said where no axes
     explain what the accelerometer sees, as in a log whose accelerations hide gravity.
     """
-    found = [_fits(_some(turns(t, gyro, accel, window_s)[0])) for window_s in WINDOWS_S]
-    fits, total = min(found, key=lambda pair: _left(pair[0], pair[1]))
-    if _left(fits, total) > 1.0 - AGREEMENT:
+    compared = _compared(t, gyro, accel)
+    if compared is None:
         return []
-    same, best = fits[0], min(fits, key=lambda fit: float(fit.misfit.sum()))
-    less = same.misfit - best.misfit
-    sigmas = less.sum() / max(float(np.std(less)) * np.sqrt(len(less)), 1e-12)
-    share = best.misfit.sum() / same.misfit.sum()
-    if best is not same and any(sigmas > s and share < c for s, c in zip(SURE, CLEARLY, strict=True)):
+    same, best, total = compared
+    if best is not same:
         message = f"{name}: gyro and accelerometer do not turn together: {in_words(best.axes)}"
         return [Warn("gyro-against-accel", message, HINT, fatal=True)]
     explained = 1.0 - float(same.misfit.sum()) / total
-    if best is same and explained > SCALED and not FAR_SCALES[0] < same.scale < FAR_SCALES[1]:
+    if explained > SCALED and not FAR_SCALES[0] < same.scale < FAR_SCALES[1]:
         message = f"{name}: gravity turns {same.scale:.2g} times as far as the gyro says"
         hint = "check the unit of the gyro, and the unit and rate of the clock"
         return [Warn("gyro-scale", message, hint, fatal=True)]
     return []
+
+
+def of_field(field: Fixes, imu: Imu) -> list[Warn]:
+    """Say where a magnetometer has not the axes of the gyro: the field must turn as gravity does in :func:`doubts`."""
+    rows = slice(*np.searchsorted(imu.t, [field.t[0], min(field.t[-1], field.t[0] + LONGEST_S)]).tolist())
+    t = imu.t[rows]
+    if len(field.t) < 2 or not len(t):
+        return []
+    vector = np.stack([np.interp(t, field.t, column) for column in field.values.T], axis=1)
+    compared = _compared(t, imu.gyro_b[rows], vector)
+    if compared is None or compared[1] is compared[0]:
+        return []
+    names = axes_in_words(compared[1].axes.T)
+    message = f"{field.channel}: magnetometer and gyro do not turn together: they would, were its x, y, z its {names}"
+    hint = "or all three the other way round: put them right in the driver, or with --columns"
+    return [Warn("gyro-against-field", message, hint, fatal=True)]
+
+
+def _compared(t: Array, gyro: Array, vector: Array) -> tuple[Fit, Fit, float] | None:
+    """Return the fit of the axes as they are, that which is to be believed, and the square of what is seen; None where
+    no axes explain how the vector turns.
+    """
+    found = [_fits(_some(turns(t, gyro, vector, window_s)[0])) for window_s in WINDOWS_S]
+    fits, total = min(found, key=lambda pair: _left(pair[0], pair[1]))
+    if _left(fits, total) > 1.0 - AGREEMENT:
+        return None
+    same, best = fits[0], min(fits, key=lambda fit: float(fit.misfit.sum()))
+    less = same.misfit - best.misfit
+    sigmas = less.sum() / max(float(np.std(less)) * np.sqrt(len(less)), 1e-12)
+    share = best.misfit.sum() / same.misfit.sum()
+    sure = any(sigmas > s and share < c for s, c in zip(SURE, CLEARLY, strict=True))
+    return same, best if sure else same, total
 
 
 def _some(seen: Turns) -> Turns:

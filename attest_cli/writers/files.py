@@ -39,9 +39,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
             os.fsync(stream.fileno())
         temporary.replace(path)
     except OSError as error:
-        raise AttestError(
-            f"{path}: cannot be written: {error.strerror or error}", "is there room, and is it yours?"
-        ) from None
+        hint = "make its folder first" if isinstance(error, FileNotFoundError) else "is there room, and is it yours?"
+        raise AttestError(f"{path}: cannot be written: {error.strerror or error}", hint) from None
     finally:  # an interrupt leaves nothing behind either
         temporary.unlink(missing_ok=True)
 

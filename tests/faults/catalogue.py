@@ -254,6 +254,7 @@ SUNS: dict[str, Fault] = {
         "magnetometer", (), outliers(0.2, *MAG, size=60.0)),
     "hard iron 20 %": Fault("magnetometer", ("magnetometer-uncalibrated",), hard_iron(0.2)),
     "hard iron 50 %": Fault("magnetometer", ("magnetometer-uncalibrated",), hard_iron(0.5)),
+    "magnetometer turned in a hand": Fault("hand", ("gyro-against-field",), swapped("mag_x", "mag_y")),
     "hard iron 50 %, hand": Fault("hand", ("magnetometer-uncalibrated",), hard_iron(0.5)),
     "soft iron": Fault("magnetometer", ("magnetometer-uncalibrated",), soft_iron),
     "soft iron, hand": Fault("hand", (), soft_iron),

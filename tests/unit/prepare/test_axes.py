@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from attest_cli.maths import rotation
 from attest_cli.maths.axes import signed_permutations
-from attest_cli.prepare.axes import doubts
+from attest_cli.prepare.axes import doubts, of_field
+from attest_cli.records import Fixes, Imu
 
 Array = NDArray[np.float64]
 
@@ -47,3 +48,15 @@ def test_accelerations_that_hide_gravity_tell_nothing(rng: np.random.Generator) 
     t, gyro, accel = drive(rng)
     pushed = accel + 3.0 * np.sin(t[:, None] * np.array([2.0, 3.1, 2.6]))
     assert doubts("log", t, -gyro, pushed) == []
+
+
+@pytest.mark.parametrize("axes", signed_permutations()[::7])
+def test_a_magnetometer_with_other_axes_is_told(axes: Array, rng: np.random.Generator) -> None:
+    """Of all 48, only the axes of the gyro, or all three reversed, are silent: the sign of a field does not show."""
+    t, gyro, down = drive(rng)
+    field = Fixes("magnetometer", "mag", t[::5] + 0.003, (0.005 * down[::5] + 1e-6) @ axes.T)
+    told = of_field(field, Imu(t, gyro, down))
+    if np.array_equal(np.abs(axes), np.eye(3)) and abs(np.trace(axes)) == 3.0:
+        assert told == []
+    else:
+        assert [(warn.code, warn.fatal) for warn in told] == [("gyro-against-field", True)]
