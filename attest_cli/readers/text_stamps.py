@@ -60,8 +60,10 @@ def stamps_of(path: Path, dialect: Dialect, layout: Layout, table: pa.Table, imu
             found, valid = found + whole, valid + 0.0 * known
         told += _rounded(path, column, found[~np.isnan(valid)], 10 ** stamps.DIGITS[unit])
     if np.all(np.isnan(valid)):
-        hint = f'map another one: --columns "NAME=time [s]"; {COUNT_HINT}'
-        raise AttestError(f"{path}: the time column {time.name!r} holds no readable time", hint)
+        first = next((cell for cell in column.to_pylist() if cell), None)
+        seen = "" if first is None else f" (the first cell is {str(first)[:40]!r})"
+        hint = f'write a number or ISO 8601, or map another one: --columns "NAME=time [s]"; {COUNT_HINT}'
+        raise AttestError(f"{path}: the time column {time.name!r} holds no readable time{seen}", hint)
     return found, valid, told
 
 
