@@ -12,6 +12,7 @@ from ..records import Array, Bools, Ints, Warn
 STEP_BACK_NS = 500_000_000
 """A larger step back is another clock, not rows in a wrong order."""
 
+REVERSED = 0.9  # of the rows are each before the one above it: a log that begins at its end
 LONGEST_BATCH_NS = 500_000_000
 SHARED = 1.5
 """Stamps further apart than the batch, shared by more rows than this on average, have no resolution."""
@@ -59,7 +60,7 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
     if np.any(back):
         worst = int(np.argmax(back))
         if strict and back[worst] > STEP_BACK_NS:
-            _refuse_step(name, latest, back, t0_ns)
+            _refuse_step(name, stamps_ns, latest, back, t0_ns)
         rows = np.argsort(stamps_ns, kind="stable").astype(np.int64)
         late = f"{np.count_nonzero(back)} rows out of order, by {back[worst] * 1e-9:.3f} s at most"
         warnings.append(Warn("rows-out-of-order", f"{name}: {late}: sorted"))
@@ -93,7 +94,9 @@ def gaps(stamps_ns: Ints, max_gap_s: float, periods: float = 5.0) -> Ints:
     return np.stack([stamps_ns[holes], stamps_ns[holes + 1]], axis=1)
 
 
-def _refuse_step(name: str, latest: Ints, back: Ints, t0_ns: int) -> None:
+def _refuse_step(name: str, stamps_ns: Ints, latest: Ints, back: Ints, t0_ns: int) -> None:
+    if np.count_nonzero(np.diff(stamps_ns) < 0) > REVERSED * back.size:
+        raise AttestError(f"{name}: the rows are in reverse order, the latest first", "sort them by their stamps")
     row = int(np.argmax(back > STEP_BACK_NS))
     when, size = (int(latest[row]) - t0_ns) // 1_000_000 * 1e-3, int(back[row]) * 1e-9
     message = f"{name}: the clock steps back by {size:.3f} s at {when:.3f} s (row {row + 1})"

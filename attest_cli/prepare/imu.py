@@ -22,6 +22,7 @@ STEPS_S, FEW_STEPS = (1e-4, 1.0), 20_000  # median step of an IMU; steps that te
 LISTED_GAPS = 3
 LARGEST = 1e12  # a raw value beyond this is a damaged number
 FASTEST_RAD_S, STRONGEST_M_S2 = 1e3, 1e5  # no IMU measures more: 57 000 deg/s, 10 000 g
+FEW_MISSING = 0.01  # of the samples, lost one by one
 MANY = 0.1  # of the samples: no lost bytes, but another unit
 
 
@@ -67,6 +68,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
     t0_ns = first_stamp(parts[0].stamps_ns)
     ordered = [_in_window(files, part, t0_ns, settings, warnings) for part in parts]
     first = ordered[0]
+    _outside(files, parts[0].stamps_ns, first, t0_ns)
     _enough(files, first.stamps_ns)
     _rated(files, first)
     t0_ns = min(t0_ns, int(first.stamps_ns[0]))  # a first batch is spread to before its stamp
@@ -75,14 +77,15 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
+    held = _held(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
+    if held.any():
+        stamps_ns, table = stamps_ns[~held], table[~held]
+        _enough(files, stamps_ns)
     gyro, accel = _in_si(parts, stamps_ns, t0_ns, table, settings, warnings)
+    warnings += stuck.told_coarse(f"{files}: {parts[0].name}", gyro)
     del table, ordered, first  # a long log is not held twice
     for part in parts if spent else ():
         cast("dict[str, Array]", part.values).clear()
-    held = _held(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel, warnings)
-    if held.any():
-        stamps_ns, gyro, accel = stamps_ns[~held], gyro[~held], accel[~held]
-        _enough(files, stamps_ns)
     lone = _alone(gyro, GYRO_FLOOR) | _alone(accel, ACCEL_FLOOR)
     if lone.any():
         warnings.append(_told_spikes(f"{files}: {parts[0].name}", lone, stamps_ns, t0_ns))
@@ -141,12 +144,11 @@ def _within(values: Array, limit: float) -> bool:
     return bool(-limit < values.min() and values.max() < limit)
 
 
-def _held(name: str, t: Array, gyro: Array, accel: Array, warnings: list[Warn]) -> Bools:
-    """Tell rows (n,) in which an axis is stuck; say so, and of axes that are dead."""
-    found = stuck.stuck(t, gyro, accel)
+def _held(name: str, t: Array, table: Array, warnings: list[Warn]) -> Bools:
+    """Tell rows (n,) in which an axis of the raw ``table`` (n, 6) is stuck; say so, and of axes that are dead."""
+    found = stuck.stuck(t, table)
     warnings += stuck.told(name, COLUMNS["imu"], found, t)
-    warnings += stuck.told_dead(name, COLUMNS["imu"], stuck.dead(gyro, accel))
-    warnings += stuck.told_coarse(name, gyro)
+    warnings += stuck.told_dead(name, COLUMNS["imu"], stuck.dead(table))
     rows: Bools = np.logical_or.reduce(found)
     return rows
 
@@ -196,18 +198,26 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
     stamps_ns = channel.stamps_ns[start:end]
     values = _side_by_side([channel.values[name][start:end] for name in names])
     rows_in = len(values)
+    values, said = lost.without_sentinels(values)
     if rows_in and not _within(values, LARGEST):
-        good = _finite(files, channel, names, values, warnings)
+        good = _finite(files, channel, names, values, said, warnings)
         stamps_ns, values = stamps_ns[good], values[good]
     ordered = in_order(f"{files}: {channel.name}", stamps_ns, values, t0_ns)
     warnings.extend(ordered.warnings)
+    share = lost.missing(ordered.stamps_ns, settings.time.max_gap_s, rows_in - len(values))
+    if share > FEW_MISSING:
+        message = f"{files}: {share:.1%} of the rows of {channel.name} are missing, one or a few at a time"
+        hint = "what turned between is a guess; does the driver, the bus or the logger drop samples?"
+        warnings.append(Warn("imu-rows-missing", message, hint))
     if ordered.stamps_ns is not stamps_ns and not np.array_equal(ordered.rows, np.arange(len(values))):
         values = values[ordered.rows]
     return _Rows(channel, ordered.stamps_ns, values, rows_in)
 
 
-def _finite(files: str, channel: Channel, names: Sequence[str], values: Array, warnings: list[Warn]) -> Bools:
-    """Tell the rows (n,) that hold numbers, and say how many do not; refuse an empty column."""
+def _finite(
+    files: str, channel: Channel, names: Sequence[str], values: Array, said: str, warnings: list[Warn]
+) -> Bools:
+    """Tell the rows (n,) that hold numbers, say how many do not, or what is ``said`` there; refuse an empty column."""
     finite = np.abs(values) < LARGEST  # nor NaN
     if not finite.any(axis=0).all():
         empty = names[int(np.argmin(finite.any(axis=0)))]
@@ -219,7 +229,7 @@ def _finite(files: str, channel: Channel, names: Sequence[str], values: Array, w
     if missing:
         counts = ", ".join(f"{name} {n}" for name, n in zip(names, np.sum(~finite, axis=0), strict=True) if n)
         message = f"{files}: {missing} of {good.size} rows of {channel.name} dropped, not finite: {counts}"
-        warnings.append(Warn("imu-not-finite", message))
+        warnings.append(Warn("imu-not-finite", f"{message}; {said} stands for no measurement" if said else message))
     return good
 
 
@@ -245,6 +255,14 @@ def _window(stamps_ns: Ints, t0_ns: int, settings: Settings) -> tuple[int, int]:
         after = (stamps_ns[start:] > end_ns) | back
         end = start + int(np.argmax(after)) if np.any(after) else end
     return start, end
+
+
+def _outside(files: str, stamps_ns: Ints, rows: _Rows, t0_ns: int) -> None:
+    """Refuse a window in which the log has nothing."""
+    if not rows.rows_in:
+        last = float(stamps_ns.max() - t0_ns) * 1e-9
+        message = f"{files}: the window of --start and --end lies outside the log, which has 0 to {last:.2f} s"
+        raise AttestError(message, "both count in seconds from the first IMU row")
 
 
 def _enough(files: str, stamps_ns: Ints) -> None:

@@ -1,15 +1,57 @@
-"""Lost samples: what bridging a short hole costs, told by bridging as many samples where none are lost."""
+"""Lost samples: how many, cells that hold a number for none, and what bridging a short hole costs, told by bridging as
+many samples where none are lost.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..records import Array
+from ..records import Array, Ints
 
 MISSING = 1.5  # periods: a longer step has lost a sample
 AROUND_S = 3.0  # the drive is alike so near to a hole
 EVEN = 0.25  # of its length: a stretch without a hole keeps its time
 FEW = 10  # stretches that tell nothing: all of the log is asked
+
+WHOLE = 0.25  # of a period: steps over lost samples are so near to a multiple of it; those of a poor clock are not
+SENTINELS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2147483647.0, 2147483648.0)
+SENTINEL_SHARE, SENTINEL_FACTOR = 0.01, 20.0  # of the rows; times the 99th percentile of the others
+
+
+def missing(stamps_ns: Ints, longest_s: float, dropped: int = 0) -> float:
+    """Return the share of samples that are lost in short holes, but for those that were ``dropped`` on the way.
+
+    A hole is a step near to two or more periods. A clock that is late once, and early after it, has lost nothing: the
+    time that goes beyond one period a step, over all short steps, must be as long.
+    """
+    step = np.diff(stamps_ns) * 1e-9
+    period = float(np.median(step)) if step.size else 0.0
+    short = step[step <= max(longest_s, MISSING * period)]
+    if period <= 0.0 or not np.any(short > MISSING * period):
+        return 0.0
+    count = np.rint(short / period) - 1.0
+    holes = (short > MISSING * period) & (np.abs(short - (count + 1.0) * period) < WHOLE * period)
+    lost = min(float(count[holes].sum()), float(short.sum()) / period - short.size) - dropped
+    return max(lost, 0.0) / (stamps_ns.size + max(lost, 0.0))
+
+
+def without_sentinels(values: Array) -> tuple[Array, str]:
+    """Return values (n, k) with NaN for a number that stands for none, such as -9999, and that number in words.
+
+    Such a number is the largest or the least of its column, in over 1 % of the rows, and far beyond all others.
+    """
+    said: list[str] = []
+    extremes = (np.fmin.reduce(values, axis=0), np.fmax.reduce(values, axis=0)) if len(values) else ()
+    for found in extremes:
+        for k in np.flatnonzero(np.isin(np.abs(found), SENTINELS)):
+            is_it = values[:, k] == found[k]
+            rest = np.abs(values[~is_it & np.isfinite(values[:, k]), k])
+            often = np.count_nonzero(is_it) > SENTINEL_SHARE * len(values)
+            if often and rest.size and abs(found[k]) > SENTINEL_FACTOR * np.quantile(rest, 0.99):
+                values = values.copy() if not said else values
+                values[is_it, k] = np.nan
+                said.append(f"{found[k]:.0f}")
+    return values, " and ".join(dict.fromkeys(said))
 
 
 def bridged(t: Array, gyro: Array, longest_s: float) -> Array | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,8 @@ UNIT_FIELD_T = 5e-5  # what a normalised field is scaled to: its direction is al
 FASTEST_GYRO = 35.0  # rad/s: 2000 deg/s, the widest range of common gyros
 FASTEST_STATED = 70.0  # rad/s: 4000 deg/s, what no common gyro reaches where it is stated
 FAST_LEVEL, LEVEL = 3.0, 0.1  # rad/s: what drives on the level turns slower; rad: that is level
-FASTEST_DEG_S = 6000.0  # what no common gyro reaches: above it values are raw counts
+FASTEST_DEG_S = 4000.0  # what no common gyro reaches: above it values are raw counts
+GYRO_UNITS = ("mdeg/s", "mrad/s", "rpm")  # what a gyro is rarely in: never taken, only named
 GYRO_COUNTS = (
     131.072,
     65.536,
@@ -42,6 +43,8 @@ WINDOW_S = 0.5  # over which the specific force is averaged to show gravity
 LARGEST_TURN = 0.5  # rad: above it a window is too long for the comparison
 MIN_WINDOWS = 4
 AGREEMENT = 0.4  # share of the turning of gravity explained, from which the gyro's unit is told
+CONVINCED = 0.6  # the same, from which values are converted to another unit than stated or usual
+OTHER_UNIT, FEW_STEPS = 5.0, 20  # ratio of the scales before and after a change of unit; steps between windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +100,12 @@ def accelerometer(channel: Channel, names: Sequence[str], t: Array, gravity: flo
             warnings.append(Warn("accel-scale", f"{message}, gravity is {gravity:.2f}", hint))
         return quantity.values
     here = unit(quantity.stated or SI["accel"])[0]
-    for name in ACCEL_UNITS:
-        ratio = unit(name)[0] / here
-        if 0.8 < still * ratio / gravity < 1.25:
-            warnings.append(
-                _told(channel, "accelerometer", quantity.stated, name, f"its steady part is {_digits(still / here)}")
-            )
-            return quantity.values * ratio
+    ratios = {name: ratio for name in ACCEL_UNITS if 0.8 < still * (ratio := unit(name)[0] / here) / gravity < 1.25}
+    if ratios:  # mg and cm/s^2 are 2 % apart
+        name = min(ratios, key=lambda name: abs(calm * ratios[name] / gravity - 1.0))
+        fact = f"its steady part is {_digits(still / here)}"
+        warnings.append(_told(channel, "accelerometer", quantity.stated, name, fact))
+        return quantity.values * ratios[name]
     if still < 0.3 * gravity:
         message = f"channel {channel.name}: no gravity in the accelerometer: its steady part is {still:.2f} m/s^2"
         raise AttestError(message, "record the raw specific force (linear acceleration without gravity shows no tilt)")
@@ -124,22 +126,31 @@ def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, wa
     Parameters
     ----------
     t : (n,) s, ``accel`` (n, 3) m/s^2 at the gyro's samples
+
+    Raises
+    ------
+    AttestError
+        If the unit changes within the log, cannot be told where it must be, or is one of raw counts.
     """
     quantity = in_si(channel, names, SI["gyro"])
     taken = quantity.stated or SI["gyro"]
     other = "rad/s" if taken == "deg/s" else "deg/s"
     ratio = unit(other)[0] / unit(taken)[0]
-    as_taken, as_other = turning(t, quantity.values, accel, (1.0, ratio))
-    if as_other > max(AGREEMENT, as_taken):
+    found = turns(t, quantity.values, accel, scales=(1.0, ratio))
+    as_taken, as_other = map(_agreement, found)
+    _refuse_change(channel, found[0 if ratio > 1.0 else 1])
+    if as_other > max(CONVINCED, as_taken):
         fact = f"the turning of gravity agrees with {other} ({as_other:.0%} of it explained)"
         warnings.append(_told(channel, "gyro", quantity.stated, other, fact))
         return quantity.values * ratio
     if -AGREEMENT <= as_taken < AGREEMENT:
-        return _untold(channel, quantity, t, accel, warnings)
+        return _untold(channel, quantity, t, accel, warnings, halfway=as_other if as_other > AGREEMENT else 0.0)
     return quantity.values
 
 
-def _untold(channel: Channel, quantity: Quantity, t: Array, accel: Array, warnings: list[Warn]) -> Array:
+def _untold(
+    channel: Channel, quantity: Quantity, t: Array, accel: Array, warnings: list[Warn], halfway: float = 0.0
+) -> Array:
     """Return the rates of a gyro whose unit the turning of gravity does not tell: as stated, unless that cannot be.
 
     Raises
@@ -148,7 +159,7 @@ def _untold(channel: Channel, quantity: Quantity, t: Array, accel: Array, warnin
         If radians and degrees are as likely: beside an accelerometer in g a gyro is often in deg/s, whatever is stated.
     """
     stated = quantity.stated
-    in_g = any(_says_g(warning, channel) for warning in warnings)
+    in_g = any(_says_g(warning, channel) for warning in warnings) or halfway > 0.0
     usual = float(np.quantile(np.abs(quantity.values), 0.99))
     if stated and (stated != SI["gyro"] or not (in_g or usual > FASTEST_STATED)):
         if stated == SI["gyro"] and usual > FAST_LEVEL and _leans(t, accel) < LEVEL:
@@ -160,9 +171,13 @@ def _untold(channel: Channel, quantity: Quantity, t: Array, accel: Array, warnin
         _refuse_counts(channel, t, quantity.values, accel)
     fastest = float(np.max(np.abs(quantity.values), initial=0.0))
     if in_g and fastest <= FASTEST_GYRO:
-        message = f"channel {channel.name}: rad/s or deg/s? The gyro's largest value is {_digits(fastest)}, beside g"
+        why = f"deg/s explains {halfway:.0%} of the turning of gravity" if halfway else "beside g"
+        message = f"channel {channel.name}: rad/s or deg/s? The gyro's largest value is {_digits(fastest)}, {why}"
         raise AttestError(message, f"state the unit in the header{_state(channel)}")
     name = "deg/s" if fastest > FASTEST_GYRO else "rad/s"
+    if stated and usual > FASTEST_DEG_S:
+        fact = f"but {_digits(usual)} is no rate in it, nor in deg/s"
+        raise AttestError(f"channel {channel.name}: gyro stated in {stated}, {fact}", _fitting(channel, usual))
     warnings.append(_told(channel, "gyro", stated, name, f"its largest value is {_digits(fastest)}"))
     return quantity.values * unit(name)[0]
 
@@ -184,14 +199,53 @@ def _says_g(warning: Warn, channel: Channel) -> bool:
 
 
 def _refuse_counts(channel: Channel, t: Array, gyro: Array, accel: Array) -> None:
-    """Refuse raw counts of a gyro: faster than any in deg/s, or at a usual scale they agree with gravity's turning."""
+    """Refuse raw counts of a gyro, or a rare unit: faster than any in deg/s, or so they agree with gravity."""
     usual = float(np.quantile(np.abs(gyro), 0.99))
-    agreements = turning(t, gyro, accel, [unit("deg/s")[0] / c for c in GYRO_COUNTS])
-    agreed, scale = max(zip(agreements, GYRO_COUNTS, strict=True))
+    scales = [unit("deg/s")[0] / c for c in GYRO_COUNTS] + [unit(name)[0] for name in GYRO_UNITS]
+    agreements = turning(t, gyro, accel, scales)
+    count = len(GYRO_COUNTS)
+    (agreed, scale), (rarely, name) = (
+        max(zip(agreements[:count], GYRO_COUNTS, strict=True)), max(zip(agreements[count:], GYRO_UNITS, strict=True))
+    )  # fmt: skip
+    if rarely > max(CONVINCED, agreed):
+        message = f"channel {channel.name}: the gyro states no unit, and the turning of gravity agrees with {name}"
+        raise AttestError(message, f"state {name} in the header{_state(channel)}")
     if agreed < AGREEMENT and usual < FASTEST_DEG_S:
         return
     fact = f"they agree with {scale:g} per deg/s" if agreed > AGREEMENT else f"{_digits(usual)} is no rate in deg/s"
-    raise AttestError(f"channel {channel.name}: the gyro holds raw counts: {fact}", "convert them to rad/s or deg/s")
+    raise AttestError(f"channel {channel.name}: the gyro holds raw counts: {fact}", _fitting(channel, usual))
+
+
+def _fitting(channel: Channel, usual: float) -> str:
+    """Say what a gyro whose rates reach ``usual`` could be in."""
+    fit = [name for name in GYRO_UNITS if usual * unit(name)[0] < FASTEST_GYRO]
+    other = f"; if they are in {' or '.join(fit)}, state that in the header{_state(channel)}" if fit else ""
+    return f"convert them to rad/s or deg/s{other}"
+
+
+def _refuse_change(channel: Channel, found: Turns) -> None:
+    r"""Refuse a gyro whose unit changes within the log: two parts that gravity's turning scales differently.
+
+    Of all places to cut, that with the least :math:`\sum|\Delta u-k\,\Delta u_{gyro}|^2`, with a scale k on each side.
+    """
+    expected = -np.cross(found.angle, found.up)
+    pairs = ((found.seen, found.seen), (found.seen, expected), (expected, expected))
+    sums = np.cumsum([np.sum(x * y, axis=1) for x, y in pairs], axis=1)
+    if sums.shape[1] < 2 * FEW_STEPS:
+        return
+    cuts = slice(FEW_STEPS - 1, -FEW_STEPS)
+    before, after = sums[:, cuts], sums[:, -1:] - sums[:, cuts]
+    explained = [part[1] ** 2 / np.maximum(part[2], 1e-300) for part in (before, after)]
+    cut = int(np.argmax(explained[0] + explained[1]))
+    (seen, cross, square), shares = np.stack([before[:, cut], after[:, cut]], axis=1), [e[cut] for e in explained]
+    if np.any(square == 0.0) or np.any(cross == 0.0) or np.any(shares < AGREEMENT * seen):
+        return
+    first, second = np.abs(cross / square)
+    if OTHER_UNIT * min(first, second) < max(first, second):
+        when = float(found.at[cut + FEW_STEPS])
+        message = f"channel {channel.name}: the gyro's unit changes at about {when:.0f} s"
+        message += f", where gravity's turning asks for {_digits(second / first)} times the scale"
+        raise AttestError(message, f"smooth one part, with --end {when:.0f} or --start {when:.0f}, or mend the log")
 
 
 def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -> Array:
@@ -217,13 +271,14 @@ def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -
 @dataclass(frozen=True, slots=True)
 class Turns:
     """Steps between windows: ``step`` (k,) s, the gyro's ``angle``, gravity's direction ``up`` half-way and by how much
-    it was ``seen`` to change, all (k, 3).
+    it was ``seen`` to change, all (k, 3); where they end, ``at`` (k,) s.
     """
 
     step: Array
     angle: Array
     up: Array
     seen: Array
+    at: Array = field(default_factory=lambda: np.empty(0))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a value of 1e300 is a spike, and falls out later
@@ -248,7 +303,7 @@ def turns(
     for scale in scales:
         angle = 0.5 * scale * (rate[1:] + rate[:-1]) * step[:, None]
         good = level & (np.linalg.norm(angle, axis=1) < LARGEST_TURN)
-        found.append(Turns(step[good], angle[good], 0.5 * (u[1:] + u[:-1])[good], seen[good]))
+        found.append(Turns(step[good], angle[good], 0.5 * (u[1:] + u[:-1])[good], seen[good], middle[1:][good]))
     return found
 
 
@@ -282,7 +337,8 @@ def _steady_norms(t: Array, accel: Array) -> tuple[float, float]:
     counts = np.diff(edges)
     means = np.add.reduceat(accel, edges[:-1], axis=0) / counts[:, None]
     squares = np.add.reduceat(np.einsum("ij,ij->i", accel, accel), edges[:-1]) / counts
-    spread, norms = squares - np.sum(means**2, axis=1), np.linalg.norm(means, axis=1)
+    full = counts >= 0.5 * np.median(counts)  # one sample alone is always calm
+    spread, norms = (squares - np.sum(means**2, axis=1))[full], np.linalg.norm(means[full], axis=1)
     calm = np.argsort(spread)[: int(CALM_SHARE * (len(spread) - 1)) + 1]
     return float(np.median(norms)), float(np.median(norms[calm]))
 

@@ -261,7 +261,7 @@ def test_start_and_end_cut_the_log(done: dict[str, Done], samples: Path, smooth:
 @pytest.mark.parametrize(
     ("start", "end", "says"),
     [
-        (500, 600, "rover.parquet: only 0 usable"),
+        (500, 600, "rover.parquet: the window of --start"),
         (100, 100, "not after"),
         (130, 55, "not after"),
         (-20, -10, "start_s"),

@@ -332,6 +332,42 @@ class TestRows:
         with pytest.raises(AttestError, match="no IMU runs at that rate"):
             log_of(channel)
 
+    @pytest.mark.parametrize("sentinel", [-999.0, -9999.0, 32767.0])
+    def test_a_number_that_stands_for_none_is_not_measured(self, sentinel: float) -> None:
+        channel = imu()
+        channel.values["gyro_y"][::20] = sentinel
+        log = log_of(channel)
+        (warning,) = [w for w in log.warnings if w.code == "imu-not-finite"]
+        assert "gyro_y 50" in warning.message
+        assert f"{sentinel:.0f} stands for no measurement" in warning.message
+        assert log.imu.t.size == 950
+        assert np.abs(log.imu.gyro_b).max() < 1.0
+        assert channel.values["gyro_y"][0] == sentinel  # the recording is left as it is
+
+    @pytest.mark.parametrize(("share", "said"), [(0.002, []), (0.05, ["imu-rows-missing"])])
+    def test_rows_lost_one_by_one_are_told(self, share: float, said: list[str]) -> None:
+        whole = imu(5000)
+        keep = np.random.default_rng(2).random(5000) > share
+        values = {key: column[keep] for key, column in whole.values.items()}
+        assert codes(log_of(replace(whole, stamps_ns=whole.stamps_ns[keep], values=values))) == said
+
+    def test_rows_dropped_for_a_cause_that_is_told_are_not_missing_too(self) -> None:
+        channel = imu()
+        channel.values["accel_x"][::20] = np.nan
+        assert codes(log_of(channel)) == ["imu-not-finite"]
+
+    def test_a_log_that_begins_at_its_end_is_named(self) -> None:
+        channel = imu()
+        channel.stamps_ns[:] = channel.stamps_ns[::-1].copy()
+        with pytest.raises(AttestError, match="in reverse order"):
+            log_of(channel)
+
+    def test_the_scale_of_the_accelerometer_is_not_told_by_rows_that_are_stuck(self) -> None:
+        channel = imu()
+        for column in channel.values.values():
+            column[500:700] = 0.0
+        assert codes(log_of(channel)) == ["imu-stuck", "imu-gap"]
+
     def test_swapped_and_repeated_rows_equal_the_clean_log(self) -> None:
         clean = imu()
         rows = np.sort(np.r_[np.arange(1000), 17, 17, 400])
@@ -386,7 +422,7 @@ class TestWindowAndAxes:
         assert log.warnings == ()
 
     def test_a_window_beyond_the_log_is_refused(self) -> None:
-        with pytest.raises(AttestError, match="only 0 usable IMU rows"):
+        with pytest.raises(AttestError, match=r"lies outside the log, which has 0 to 9\.99 s"):
             log_of(imu(), time={"start_s": 100.0})
 
     def test_the_mounting_turns_imu_and_magnetometer_into_the_body(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from attest_cli.prepare.lost import bridged
+from attest_cli.prepare.lost import bridged, missing, without_sentinels
 
 
 def shaking(rng: np.random.Generator, n: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
@@ -39,3 +39,29 @@ def test_longer_holes_are_gaps(rng: np.random.Generator) -> None:
     t, gyro = shaking(rng, 1000)
     keep = (t < 5.0) | (t > 6.0)
     assert bridged(t[keep], gyro[keep], 0.5) is None
+
+
+def test_the_share_of_lost_samples_is_that_taken_away(rng: np.random.Generator) -> None:
+    stamps_ns = np.arange(20_000) * 10_000_000
+    for share in (0.02, 0.1, 0.3):
+        keep = rng.random(len(stamps_ns)) > share
+        assert abs(missing(stamps_ns[keep], 0.5) - share) < 0.02
+    assert missing(np.delete(stamps_ns, np.r_[500:900]), 0.5) == 0.0  # a gap
+
+
+def test_a_clock_that_is_late_has_lost_nothing(rng: np.random.Generator) -> None:
+    stamps_ns = np.arange(20_000) * 10_000_000
+    late = rng.random(len(stamps_ns)) < 0.1
+    assert missing(np.sort(stamps_ns + late * 9_000_000), 0.5) < 0.01
+    assert missing(np.sort(stamps_ns + rng.normal(0.0, 3e6, len(stamps_ns)).astype(np.int64)), 0.5) < 0.01
+
+
+def test_numbers_are_not_sentinels_where_they_are_measured(rng: np.random.Generator) -> None:
+    values = rng.normal(0.0, 300.0, (1000, 3))
+    values[::20, 0] = 999.0  # a range that ends there
+    same, said = without_sentinels(values)
+    assert same is values
+    assert said == ""
+    values = rng.normal(0.0, 0.1, (1000, 3))
+    values[500, 1] = 9999.0  # once: a spike
+    assert without_sentinels(values)[0] is values

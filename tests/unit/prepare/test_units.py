@@ -242,3 +242,68 @@ def test_degrees_on_the_level_are_asked_about(factor: float, codes: list[str], r
     warnings: list[Warn] = []
     units.gyroscope(channel("gyro", gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings)
     assert [w.code for w in warnings] == codes
+
+
+@pytest.mark.parametrize(("stated", "accel_unit", "code"), [("", "cm/s^2", "unit-guessed"), ("", "mg", "unit-guessed")])
+def test_gals_are_not_milli_g(rng: np.random.Generator, stated: str, accel_unit: str, code: str) -> None:
+    accel = np.array([0.0, 0.0, G]) + rng.normal(0, 0.02, (N, 3))
+    warnings: list[Warn] = []
+    written = channel("accel", accel * {"cm/s^2": 100.0, "mg": 1000.0 / G}[accel_unit], stated)
+    np.testing.assert_allclose(units.accelerometer(written, COLUMNS["accel"], T, G, warnings), accel)
+    (warning,) = warnings
+    assert warning.code == code
+    assert warning.message.endswith(f"taken as {accel_unit}")
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.0, 57.3), (57.3, 1.0), (1.0, 1 / 9.549)])
+@pytest.mark.parametrize("stated", ["", "rad/s", "deg/s"])
+def test_a_unit_that_changes_within_the_log_is_refused(
+    rng: np.random.Generator, first: float, second: float, stated: str
+) -> None:
+    gyro, accel = moving(rng)
+    gyro = gyro * np.where(T < 18.0, first, second)[:, None]
+    with pytest.raises(AttestError, match=r"unit changes at about 1[789] s"):
+        units.gyroscope(channel("gyro", gyro, stated), COLUMNS["gyro"], T, accel, [])
+
+
+def test_an_imu_that_comes_to_rest_keeps_its_unit(rng: np.random.Generator) -> None:
+    gyro, accel = moving(rng)
+    still = T > 15.0
+    gyro[still] = 0.01 + rng.normal(0, 0.002, (N, 3))[still]
+    accel[still] = accel[still.argmax()] + rng.normal(0, 0.2, (N, 3))[still]
+    warnings: list[Warn] = []
+    units.gyroscope(channel("gyro", gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings)
+    assert warnings == []
+
+
+def test_half_of_the_turning_of_gravity_is_too_little_to_convert(rng: np.random.Generator) -> None:
+    gyro, accel = moving(rng)
+    gyro *= 0.3  # or whatever else makes them agree by half
+    halfway = units.turning(T, gyro, accel)[0]
+    assert units.AGREEMENT < halfway < units.CONVINCED
+    for stated in ("", "rad/s"):
+        with pytest.raises(AttestError, match=r"rad/s or deg/s\? .* explains \d+%"):
+            units.gyroscope(channel("gyro", np.degrees(gyro), stated), COLUMNS["gyro"], T, accel, [])
+    warnings: list[Warn] = []
+    found = units.gyroscope(channel("gyro", gyro, "rad/s"), COLUMNS["gyro"], T, accel, warnings)
+    np.testing.assert_array_equal(found, gyro)
+
+
+@pytest.mark.parametrize("name", ["rpm", "mrad/s", "mdeg/s"])
+def test_rare_units_of_a_gyro_are_named(rng: np.random.Generator, name: str) -> None:
+    gyro, accel = moving(rng)
+    written = gyro / units.unit(name)[0]
+    with pytest.raises(AttestError, match=f"agrees with {name}") as refused:
+        units.gyroscope(channel("gyro", written), COLUMNS["gyro"], T, accel, [])
+    assert f"state {name}" in refused.value.hint
+    found = units.gyroscope(channel("gyro", written, name), COLUMNS["gyro"], T, accel, [])
+    np.testing.assert_allclose(found, gyro)
+
+
+@pytest.mark.parametrize("stated", ["", "rad/s"])
+def test_what_is_no_rate_in_degrees_is_refused_with_units_that_fit(rng: np.random.Generator, stated: str) -> None:
+    accel = np.array([0.0, 0.0, G]) + rng.normal(0, 0.02, (N, 3))
+    gyro = np.tile([0.0, 0.0, 5000.0], (N, 1)) + rng.normal(0, 9.0, (N, 3))
+    with pytest.raises(AttestError, match=r"is no rate in") as refused:
+        units.gyroscope(channel("gyro", gyro, stated), COLUMNS["gyro"], T, accel, [])
+    assert "mdeg/s or mrad/s" in refused.value.hint

@@ -98,7 +98,7 @@ def test_apdm(load) -> None:
 @pytest.mark.parametrize(
     ("name", "rows", "accel", "code", "fixes"),
     [
-        ("imu_tools/ardrone_imu.bag", 4308, [0.16, 0.22, 9.60], "imu-gap", {"magnetometer": 4308}),
+        ("imu_tools/ardrone_imu.bag", 4308, [0.16, 0.22, 9.60], "imu-rows-missing imu-gap", {"magnetometer": 4308}),
         ("imu_tools/phidgets_imu_upside_down.bag", 13964, [-0.18, -0.09, -9.87], "magnetometer-dropped",
          {"magnetometer": 6974}),
         ("imu_tools/sparkfun_razor.bag", 2144, [-2.63, 3.76, 5.68], None, {"magnetometer": 2144}),
@@ -111,7 +111,7 @@ def test_apdm(load) -> None:
 def test_ros1(load, name: str, rows: int, accel: list[float], code: str | None, fixes: dict[str, int]) -> None:
     if name.endswith(".bag"):
         pytest.importorskip("rosbags", reason="the extra [bag] is not installed")
-    _, log = load(f"logs/{name}", *([code] if code else []))
+    _, log = load(f"logs/{name}", *(code or "").split())
     assert log.imu.t.size == rows
     assert np.median(log.imu.accel_b, axis=0) == pytest.approx(np.array(accel), abs=0.006)
     assert {role: found.t.size for role, found in log.fixes.items()} == fixes
