@@ -201,10 +201,10 @@ def _no_imu(recordings: Sequence[Recording], found: Sequence[Channel], cast: Map
     half = next((role for role in ("gyro", "accel") if role in cast), None)
     if half is not None:
         other = "accelerometer" if half == "gyro" else "gyro"
+        named = f'--columns "OLD={COLUMNS[other[:5]][0]} [UNIT],..."'
         return (
             f"{files}: no {other} beside {cast[half].name}",
-            f"hand in the file that holds it, or map {other[:5]} to its channel; columns of other names: "
-            f'--columns "OLD={COLUMNS[other[:5].strip()][0]} [UNIT],..."',
+            f"hand in the file that holds it, or map {other[:5]} to its channel; columns of other names: {named}",
         )
     names = ", ".join(f"{channel.name} ({channel.role or channel.kind})" for channel in found)
     return f"{files}: no IMU; found {names}", "attest needs gyro and accelerometer: map imu to their channel"
