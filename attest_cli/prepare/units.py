@@ -44,7 +44,8 @@ LARGEST_TURN = 0.5  # rad: above it a window is too long for the comparison
 MIN_WINDOWS = 4
 AGREEMENT = 0.4  # share of the turning of gravity explained, from which the gyro's unit is told
 CONVINCED = 0.6  # the same, from which values are converted to another unit than stated or usual
-OTHER_UNIT, FEW_STEPS = 5.0, 20  # ratio of the scales before and after a change of unit; steps between windows
+DEGREES = 40.0, 80.0  # ratio of the scales of two parts in radians and degrees; nothing else changes in a log
+FEW_STEPS = 20  # between windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +242,7 @@ def _refuse_change(channel: Channel, found: Turns) -> None:
     if np.any(square == 0.0) or np.any(cross == 0.0) or np.any(shares < AGREEMENT * seen):
         return
     first, second = np.abs(cross / square)
-    if OTHER_UNIT * min(first, second) < max(first, second):
+    if DEGREES[0] < max(first, second) / min(first, second) < DEGREES[1]:
         when = float(found.at[cut + FEW_STEPS])
         message = f"channel {channel.name}: the gyro's unit changes at about {when:.0f} s"
         message += f", where gravity's turning asks for {_digits(second / first)} times the scale"

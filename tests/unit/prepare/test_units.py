@@ -255,7 +255,7 @@ def test_gals_are_not_milli_g(rng: np.random.Generator, stated: str, accel_unit:
     assert warning.message.endswith(f"taken as {accel_unit}")
 
 
-@pytest.mark.parametrize(("first", "second"), [(1.0, 57.3), (57.3, 1.0), (1.0, 1 / 9.549)])
+@pytest.mark.parametrize(("first", "second"), [(1.0, 57.3), (57.3, 1.0)])
 @pytest.mark.parametrize("stated", ["", "rad/s", "deg/s"])
 def test_a_unit_that_changes_within_the_log_is_refused(
     rng: np.random.Generator, first: float, second: float, stated: str
