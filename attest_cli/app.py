@@ -143,7 +143,7 @@ def smooth(
     }
     console = Console(json=json, verbose=verbose, quiet=quiet, progress=progress)
     if dry_run:
-        return command.plan(logs, config, overrides, console)
+        return command.plan(logs, config, overrides, console, strict=strict)
     return command.run(logs, config, overrides, output, console, overwrite=overwrite, strict=strict)
 
 

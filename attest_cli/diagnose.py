@@ -35,7 +35,7 @@ GROUPS = ("file", "stamps", "values", "units", "mounting", *SENSORS, "stops", "v
 FAR_DEG = 3.0  # sun and reference; the stops lean, the sensor's mount too
 PLACES = (
     ("damaged-* cut-* write-ahead-log logger-dropouts decimated-imu", "file", "whole"),
-    ("ragged-rows text-cells no-such-column no-text-log rows-without-time", "file", "table"),
+    ("ragged-rows text-cells thousands-separators no-such-column no-text-log rows-without-time", "file", "table"),
     ("several-channels file-not-used channel-empty receiver-speed imu-half-missing", "file", "roles"),
     ("time-unit-guessed stamps-rounded rows-counted zero-stamps zero-header-stamps", "stamps", "resolution"),
     ("rows-out-of-order duplicate-rows batched-stamps", "stamps", "order"),
@@ -46,7 +46,7 @@ PLACES = (
     ("*-clipped", "values", "range"),
     ("gyro-coarse", "values", "resolution"),
     ("*spikes", "values", "spikes"),
-    ("accel-scale", "units", "gravity"),
+    ("accel-scale accel-bias", "units", "gravity"),
     ("gyro-against-* gyro-scale separation", "units", "gyro"),
     ("unit-*", "units", "stated"),
     ("imu-upside-down mounting-*", "mounting", "axes"),

@@ -350,6 +350,7 @@ def plan(paths: Sequence[Path], effective: Effective) -> dict[str, Any]:
         "frame": {"world": settings.world.frame, "body": settings.body.axes},
         "methods": {"filter": name, "why": why, "smoother": cfg.smoother, "position": cfg.position},
         "warnings": [w.message for w in (*log.warnings, *found.warnings, *warnings)],
+        "lost": any(w.lost for w in log.warnings),
     }  # fmt: skip
 
 
@@ -382,11 +383,11 @@ def evaluate(
         "reference": tracked(reference, by), "page": {"file": EVALUATION_PAGE, "title": page.title, "alt": page.alt},
     })  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(folder / EVALUATION_PAGE) as temporary:
-        temporary.write_bytes(page.png())
-    with atomic_write(folder / EVALUATION) as temporary:
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    with atomic_write(folder / EVALUATION) as temporary:  # both are new, or neither
         temporary.write_text(f"{text}\n", encoding="utf-8")
+        with atomic_write(folder / EVALUATION_PAGE) as drawn:
+            drawn.write_bytes(page.png())
     return content
 
 
@@ -408,11 +409,17 @@ def simulate(scenario: str, output: Path, options: Mapping[str, Any], overwrite:
     options_of, run = SCENARIOS[scenario]
     made = run(options_of(**options))
     logs[0].parent.mkdir(parents=True, exist_ok=True)
-    for path in logs:
-        write_recording(made.log, path)
-    write_table(dict(made.truth), truth, {"scenario": scenario, **{k: str(v) for k, v in options.items()}})
-    with atomic_write(config) as temporary:
-        temporary.write_text(_toml(made.settings), encoding="utf-8")
+    fresh = [path for path in (*logs, truth, config) if not path.exists()]
+    try:
+        for path in logs:
+            write_recording(made.log, path)
+        write_table(dict(made.truth), truth, {"scenario": scenario, **{k: str(v) for k, v in options.items()}})
+        with atomic_write(config) as temporary:
+            temporary.write_text(_toml(made.settings), encoding="utf-8")
+    except BaseException:  # an interrupt leaves no part of the set either
+        for path in fresh:
+            path.unlink(missing_ok=True)
+        raise
     return [*logs, truth, config]
 
 

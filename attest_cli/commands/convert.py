@@ -28,6 +28,7 @@ def run(
     """Read, bring to the units of attest's own logs, write; say what is not in the new file."""
     settings = load_settings(config, logs[0], overrides).settings
     from ..prepare.canonical import in_canonical_units
+    from ..prepare.roles import told as of_files
     from ..prepare.roles import with_named
     from ..readers import read
     from ..records import Recording
@@ -40,7 +41,7 @@ def run(
     other = {name: kind for recording in recordings for name, kind in recording.other.items()}
     rows = sum(recording.rows for recording in recordings)
     left_out = write_recording(Recording(logs[0], output.suffix[1:], tuple(channels), rows, other), output)
-    warnings = [*(warning for recording in recordings for warning in recording.warnings), *told]
+    warnings = [*of_files(recordings), *told]
     written = [channel for channel in channels if channel.name not in left_out]
     if console.json:
         console.data(_facts(output, written, left_out, other, warnings))

@@ -25,12 +25,13 @@ def run(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any],
     """Print one row per channel, then what should be known; a log that cannot be smoothed is shown, then refused."""
     settings = load_settings(config, logs[0], overrides).settings
     from ..prepare import prepare
+    from ..prepare.roles import told
     from ..readers import read
 
     glance = None if console.verbose or len(logs) > 1 else _glance(logs[0], settings)
     recordings = [read(path, settings) for path in logs] if glance is None else [glance.recording]
     found, refusal = _described(recordings, settings, () if glance is None else glance.ends.channels)
-    warnings = [warning for recording in recordings for warning in recording.warnings]
+    warnings = told(recordings)
     if refusal is None and glance is None:
         try:
             warnings = list(prepare(recordings, settings).warnings)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import AttestError
 from ..settings import CONFIG_NAME, Settings, load_settings
-from .console import OK, Console, plain
+from .console import LOST, OK, Console, plain
 
 if TYPE_CHECKING:
     from ..records import Channel, Log, Recording
@@ -51,7 +51,7 @@ def run(
     for warning in log.warnings:
         console.warn(warning.message, warning.hint)
     console.say(("→ ", "mute"), str(target))
-    return OK
+    return LOST if any(warning.lost for warning in log.warnings) else OK
 
 
 def _of_sensors(

@@ -39,17 +39,19 @@ def run(
     return LOST if failed or (strict and doubted) else OK
 
 
-def plan(logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any], console: Console) -> int:
-    """Tell what a run would do: channels, segments, methods; nothing is written."""
+def plan(
+    logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any], console: Console, *, strict: bool
+) -> int:
+    """Tell what a run would do: channels, segments, methods; nothing is written. Data that is lost is so now, too."""
     effective = load_settings(config, logs[0], overrides)
     from .. import pipeline
 
     found = pipeline.plan(logs, effective)
     if console.json:
         console.data(found)
-        return OK
-    console.table(list(_flat(found)))
-    return OK
+    else:
+        console.table(list(_flat(found)))
+    return LOST if found["lost"] or (strict and found["warnings"]) else OK
 
 
 def _flat(found: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,8 +10,9 @@ import numpy as np
 
 from ..maths import rotation
 from ..maths.axes import changed, in_words, signed_permutations
-from ..nodes.noise import reference_bias, stop_ranges
+from ..nodes.noise import Noise, reference_bias, stop_ranges
 from ..records import Array, Log, Segmentation, Warn
+from . import Drive
 
 STEP_S = 0.04  # turns are summed over this
 LONGEST_S, MOST = 1200.0, 20  # motions that are tried: length, number
@@ -20,32 +21,41 @@ OPEN_RAD = np.radians(0.25), np.radians(1.5)  # what opens less may be the accel
 CLOSES, ALONE, EQUAL = 0.25, 0.4, 1.05  # misfit over that of the gyro as it is; over that of the next best axes; a tie
 GROSS = 0.02  # scale error from which a track is of no use
 SCALES = np.linspace(0.5, 2.0, 151)
+OTHER_UNIT, LARGEST_BIAS = (3.0, 30.0), 2.0  # of an accelerometer axis, its factor; m/s^2: more is another fault
+SEEN, LEVEL = 0.2, 2.0  # of what a bias shows in the axis that shows it best; level over plumb: plumb, it tilts nothing
+LIKELY, SURE = 3.0, 5.0  # sigma from which motions open; from which a bias or a rest contradicts
+LEAST_CHANGE = 0.02  # m/s^2: 2 mg, what an accelerometer drifts in a day
+CALM_S, SHAKES = 4.0, 1.5  # of a rest that is no stop; times the noise at the stops
 HINT = "put signs, order and units right in the driver, or with --columns; [imu] mounting turns both together"
+ACCEL_HINT = "calibrate it, or state [imu] accel_bias_sigma: tilt is off by as much, and its sigma does not hold"
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """From one stop to the next: the gyro's ``turns`` (m, 3) rad without its bias, gravity ``before`` and ``after``
-    (3,).
+    """From one stop to the next: the gyro's ``turns`` (m, 3) rad without its bias, specific force ``before`` and
+    ``after`` (3,) m/s^2; it takes ``span`` s.
     """
 
+    span: float
     turns: Array
     before: Array
     after: Array
 
     def misfit(self, axes: Array) -> float:
-        """Return by how much the gyro, its axes changed, misses gravity at the end, squared."""
-        q = _whole(rotation.exp_quaternion(self.turns @ axes.T))
-        expected = rotation.rotate(rotation.conjugate(q), self.before[None])[0]
-        return float(np.sum((expected - self.after) ** 2))
+        """Return by how much the gyro, its axes changed, misses the direction of gravity at the end, squared."""
+        before, after = (force / np.linalg.norm(force) for force in (self.before, self.after))
+        return float(np.sum((self.back(axes) @ before - after) ** 2))
+
+    def back(self, axes: Array) -> Array:
+        """Return the rotation (3, 3) from body axes before to those after, by the gyro with its axes changed."""
+        return np.asarray(rotation.matrix(_whole(rotation.exp_quaternion(self.turns @ axes.T)))[0].T)
 
 
-def motions(log: Log, segmentation: Segmentation) -> list[Motion]:
-    """Return the motions between two stops without a gap."""
+def motions(log: Log, segmentation: Segmentation, calm: Sequence[tuple[int, int]] = ()) -> list[Motion]:
+    """Return the motions between two stops, or rests that are ``calm``, without a gap; each rest as its samples."""
     t, out = log.imu.t, list[Motion]()
-    both = [*zip(segmentation.stops, stop_ranges(log, segmentation), strict=True)]
-    for (one, (a0, a1)), (two, (b0, b1)) in pairwise(both):
-        inside = (log.gaps[:, 0] < two.used_start) & (log.gaps[:, 1] > one.used_end) if len(log.gaps) else np.array([])
+    for (a0, a1), (b0, b1) in pairwise(sorted([*stop_ranges(log, segmentation), *calm])):
+        inside = (log.gaps[:, 0] < t[b0]) & (log.gaps[:, 1] > t[a1 - 1]) if len(log.gaps) else np.array([])
         if min(a1 - a0, b1 - b0) < 10 or inside.any() or t[b0] - t[a1] > LONGEST_S or len(out) == MOST:
             continue
         at, rate = t[a1 - 1 : b0 + 1], log.imu.gyro_b[a1 - 1 : b0 + 1]
@@ -55,37 +65,142 @@ def motions(log: Log, segmentation: Segmentation) -> list[Motion]:
         edges = at[np.append(first, len(at) - 1)]
         bias = reference_bias(log, segmentation, 0.5 * (edges[1:] + edges[:-1]))  # linear from stop to stop
         turns = np.add.reduceat(each, first, axis=0) - bias * np.diff(edges)[:, None]
-        ups = [log.imu.accel_b[lo:hi].mean(axis=0) for lo, hi in ((a0, a1), (b0, b1))]
-        before, after = (up / np.linalg.norm(up) for up in ups)
-        out.append(Motion(turns, before, after))
+        forces = (log.imu.accel_b[lo:hi].mean(axis=0) for lo, hi in ((a0, a1), (b0, b1)))
+        out.append(Motion(float(at[-1] - at[0]), turns, *forces))
     return out
 
 
-def doubts(log: Log, segmentation: Segmentation, *, raised: bool) -> list[Warn]:
-    """Say which other axes, or which other scale of the gyro, would make it close where it does not.
+def doubts(drive: Drive, *, raised: bool) -> list[Warn]:
+    """Say what would make gyro and accelerometer close where they do not: other axes of the gyro, another scale of it,
+    another scale of an axis of the accelerometer, or a bias of that.
 
-    ``raised``: its noise does not explain that.
+    ``raised``: the gyro's noise does not explain that. Then gravity's size is asked too.
     """
+    log, segmentation, noise = drive.log, drive.segmentation, drive.noise
+    told = {warn.code for warn in (*log.warnings, *segmentation.warnings)}
+    disputed = _disputed(log, segmentation, noise) if "stop-bias" in told else []
     found = motions(log, segmentation)
-    if len(found) < FEWEST:
-        return []
+    if disputed or len(found) < FEWEST or "imu-rows-missing" in told:  # lost rows do not close either
+        return disputed
     same = _opening(found, np.eye(3))
-    if same < OPEN_RAD[0 if raised else 1]:
-        return []
+    causes = _axes(found, same) or _scale(found, same) if same > OPEN_RAD[0 if raised else 1] else []
+    sigma = float(np.sqrt(2.0 * np.mean([_variance(motion, noise) for motion in found])))
+    opens = not causes and same > LIKELY * sigma and (raised or len(found) > FEWEST)
+    causes = causes or (_accelerometer(found, drive.settings.imu.accel_bias_sigma) if opens else [])
+    return causes or (_sizes(found, drive) if raised else [])
+
+
+def _variance(motion: Motion, noise: Noise) -> float:
+    """Return the variance of an angle, rad^2, after a motion."""
+    return noise.n_r * motion.span + noise.n_w * motion.span**3 / 3.0
+
+
+def _axes(found: Sequence[Motion], same: float) -> list[Warn]:
+    """Say which other axes of the gyro close."""
     openings = np.array([_opening(found, axes) for axes in signed_permutations()])
     best = openings.min()
     tied = openings <= EQUAL * best
-    if best < CLOSES * same and best < ALONE * openings[~tied].min(initial=np.inf):
-        axes = min((signed_permutations()[k] for k in np.flatnonzero(tied)), key=changed)
-        message = f"gyro and accelerometer contradict each other by {np.degrees(same):.2g} deg from stop to stop"
-        return [Warn("gyro-against-accel", f"{message}: {in_words(axes)}", HINT, fatal=True)]
+    if best >= CLOSES * same or best >= ALONE * openings[~tied].min(initial=np.inf):
+        return []
+    axes = min((signed_permutations()[k] for k in np.flatnonzero(tied)), key=changed)
+    message = f"gyro and accelerometer contradict each other by {np.degrees(same):.2g} deg from stop to stop"
+    return [Warn("gyro-against-accel", f"{message}: {in_words(axes)}", HINT, fatal=True)]
+
+
+def _scale(found: Sequence[Motion], same: float) -> list[Warn]:
+    """Say which other scale of the gyro closes."""
     scaled = np.array([_opening(found, scale * np.eye(3)) for scale in SCALES])
     k = int(np.argmin(scaled))
-    if scaled[k] < CLOSES * same and 0 < k < len(SCALES) - 1:
-        message = f"the gyro closes from stop to stop with {SCALES[k]:.2f} times its rate, not as it is"
-        hint = "calibrate its scale: where it turns much, sigma does not hold"
-        return [Warn("gyro-scale", message, hint, fatal=abs(SCALES[k] - 1.0) > GROSS)]
+    if scaled[k] >= CLOSES * same or not 0 < k < len(SCALES) - 1:
+        return []
+    message = f"the gyro closes from stop to stop with {SCALES[k]:.2f} times its rate, not as it is"
+    hint = "calibrate its scale: where it turns much, sigma does not hold"
+    return [Warn("gyro-scale", message, hint, fatal=abs(SCALES[k] - 1.0) > GROSS)]
+
+
+def _accelerometer(found: Sequence[Motion], bias_sigma: float) -> list[Warn]:
+    r"""Say which axis of the accelerometer closes with another scale :math:`1+s`, or which bias :math:`c` of it does
+    that is beyond its sigma.
+
+    .. math:: f_2-Rf_1=(I-R)c,\qquad f_2-Rf_1=-s\,(e_if_{2i}-R\,e_if_{1i})
+
+    Specific force is compared with its size: of that the gyro says nothing.
+    """
+    turned = [motion.back(np.eye(3)) for motion in found]
+    off = np.concatenate([m.after - R @ m.before for m, R in zip(found, turned, strict=True)])
+    causes: list[tuple[str, Array]] = [
+        (axis, np.concatenate([R[:, i] * m.before[i] - np.eye(3)[i] * m.after[i]
+                               for m, R in zip(found, turned, strict=True)])[:, None])
+        for i, axis in enumerate("xyz")
+    ]  # fmt: skip
+    causes.append(("", np.concatenate([np.eye(3) - R for R in turned])))
+    for axis, columns in causes:
+        x = np.linalg.lstsq(columns, off, rcond=SEEN)[0]
+        if np.linalg.norm(off - columns @ x) >= CLOSES * np.linalg.norm(off):
+            continue
+        if axis and OTHER_UNIT[0] < 1.0 + x[0] < OTHER_UNIT[1]:
+            message = f"the accelerometer's {axis} axis closes from stop to stop with {1.0 + x[0]:.2g} times its value"
+            hint = "is it in another unit than the others? mend it in the driver, or with --columns"
+            return [Warn("accel-scale", message, hint, fatal=True)]
+        if not axis and _tilts(x, found, bias_sigma):
+            said = ", ".join(f"{value:.2f}" for value in x)
+            message = f"accelerometer and gyro close from stop to stop with an accelerometer bias of {said} m/s^2"
+            return [Warn("accel-bias", message, ACCEL_HINT, fatal=True)]
     return []
+
+
+def _sizes(found: Sequence[Motion], drive: Drive) -> list[Warn]:
+    """Say where the size of gravity changes from stop to stop, more than bias and noise of the accelerometer allow: no
+    gyro does that.
+    """
+    imu, density, worst = drive.settings.imu, drive.noise.accel_density, 0.0
+    for motion in found:
+        sizes = [float(np.linalg.norm(force)) for force in (motion.before, motion.after)]
+        leant = float(np.linalg.norm(motion.after / sizes[1] - motion.before / sizes[0]))
+        sigma = np.hypot(imu.accel_bias_sigma * leant, density + imu.accel_random_walk * motion.span**0.5)
+        change = abs(sizes[1] - sizes[0])
+        worst = max(worst, change if change > max(SURE * sigma, LEAST_CHANGE) else 0.0)
+    if worst == 0.0:
+        return []
+    message = f"gravity changes by {worst:.2g} m/s^2 from stop to stop, which is the accelerometer's fault"
+    return [Warn("accel-bias", message, ACCEL_HINT, fatal=True)]
+
+
+def _tilts(bias: Array, found: Sequence[Motion], sigma: float) -> bool:
+    """Whether a bias is one that tilts, beyond its sigma, and small enough to be one."""
+    up = np.sum([motion.before for motion in found], axis=0)
+    plumb = float(bias @ up / np.linalg.norm(up))
+    level = float(np.sqrt(max(float(bias @ bias) - plumb**2, 0.0)))
+    return max(SURE * sigma, LEVEL * abs(plumb)) < level < LARGEST_BIAS
+
+
+def _disputed(log: Log, segmentation: Segmentation, noise: Noise) -> list[Warn]:
+    """Say where the gyro, with the bias of the stops, misses gravity in a rest that contradicts that bias."""
+    calm = list(_calm(log, segmentation))
+    worst = 0.0
+    for motion in motions(log, segmentation, calm) if calm else []:
+        off = float(np.sqrt(motion.misfit(np.eye(3))))
+        worst = max(worst, off if off > max(OPEN_RAD[0], SURE * np.sqrt(_variance(motion, noise))) else 0.0)
+    if worst == 0.0:
+        return []
+    message = f"gyro and accelerometer contradict each other by {np.degrees(worst):.2g} deg at a rest"
+    hint = "the gyro's bias has jumped, or an axis of it is dead: sigma does not hold"
+    return [Warn("gyro-bias", f"{message} whose gyro contradicts that of the stops", hint, fatal=True)]
+
+
+def _calm(log: Log, segmentation: Segmentation) -> Iterator[tuple[int, int]]:
+    """Yield the samples ``[lo, hi)`` of the longest rest in each motion, as quiet about its mean as the stops."""
+    t, imu = log.imu.t, log.imu
+
+    def shaken(lo: int, hi: int) -> Array:
+        return np.array([np.mean(np.var(values[lo:hi], axis=0)) for values in (imu.gyro_b, imu.accel_b)])
+
+    stops = [shaken(lo, hi) for lo, hi in stop_ranges(log, segmentation) if hi - lo >= 10]
+    limit = SHAKES**2 * np.median(stops, axis=0) if stops else np.zeros(2)
+    for s in segmentation.motions:
+        edges = np.searchsorted(t, np.arange(s.start, s.end, CALM_S))
+        quiet = [(a, b) for a, b in pairwise(edges.tolist()) if b - a >= 10 and (shaken(a, b) < limit).all()]
+        yield from quiet[-1:]
 
 
 def _whole(q: Array) -> Array:

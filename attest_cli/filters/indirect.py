@@ -7,7 +7,7 @@ in eqs 20-30.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,33 +18,81 @@ from ..nodes import Nodes, build_nodes
 from ..nodes.observations import observe
 from ..records import Array, FilterRun, Innovations, Warn
 from ..sensors import Measurement
-from . import Drive, Forward, closure
+from . import Drive, Forward, closure, scale
 from .alignment import Start, align
 
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
-ABSURD = 20.0  # times its noise: no gyro drifts so in motion, it contradicts the accelerometer
+ABSURD = 5.0  # times its noise: neither scale nor vibration makes a gyro drift so, it contradicts the accelerometer
+ACCELEROMETER = {"accel-bias", "accel-scale"}  # causes that are none of the gyro
 FEW_MOTIONS = 4
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
 
 
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """A drive on nodes, where its filter starts, and what it makes of them with the noise as it stands."""
+
+    drive: Drive
+    nodes: Nodes
+    start: Start
+    run: FilterRun
+    warnings: tuple[Warn, ...]
+
+
 def forward(drive: Drive, epochs: Array | None = None) -> Forward:
     """Put the drive on nodes (``epochs`` are nodes too; None: coarser ones will do), align, and run forward with a gyro
-    noise that the stops do not contradict.
+    whose scale and noise the drive does not contradict.
     """
-    log, segmentation, settings, noise = drive.log, drive.segmentation, drive.settings, drive.noise
-    observations, warnings = observe(log, segmentation, drive.world, noise, settings)
-    nodes = build_nodes(log, segmentation, observations, noise, settings, epochs)
-    start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=drive.world.field_n is None)
-    nodes, found, raised = consistent_run(nodes, start, settings.smoothing.gate_probability)
+    gate = drive.settings.smoothing.gate_probability
+    begun = _begin(drive, epochs)
+    nodes, found, raised = consistent_run(begun.nodes, begun.start, gate, begun.run)
+    causes = closure.doubts(drive, raised=raised > 1.0)
+    known = epochs is not None or _spared(causes)  # navigation has states for it
+    better, told = (None, ()) if known else scale.mended(drive, *scale.learn(begun.nodes, _ungated(begun)))
+    if better is not None:
+        again = _begin(better, None)
+        solved = consistent_run(again.nodes, again.start, gate, again.run)
+        if solved[2] <= (1.0 if told else raised):  # a scale is believed that leaves less to explain
+            begun, (nodes, found, raised), drive = replace(again, warnings=(*again.warnings, *told)), solved, better
+            causes = closure.doubts(drive, raised=raised > 1.0)
+    noise, warnings = drive.noise, [*begun.warnings]
     if raised > 1.0:
         noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
-        message = f"the gyro drifts {np.sqrt(raised):.3g} times its noise in motion: sigma raised to fit"
-        hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
-        warnings.append(Warn("gyro-noise-raised", message, hint, fatal=raised > ABSURD**2))
-    warnings += closure.doubts(log, segmentation, raised=raised > 1.0)
-    return Forward(replace(found, heading=_heading(found)), noise, nodes, start, tuple(warnings))
+        warnings += [] if _spared(causes) else [_told_raised(float(np.sqrt(raised)))]
+    warnings += causes
+    return Forward(replace(found, heading=_heading(found)), noise, nodes, begun.start, tuple(warnings))
+
+
+def _begin(drive: Drive, epochs: Array | None) -> Begun:
+    """Put a drive on nodes, align and run forward."""
+    settings = drive.settings
+    observations, warnings = observe(drive.log, drive.segmentation, drive.world, drive.noise, settings)
+    nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, settings, epochs)
+    start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=drive.world.field_n is None)
+    return Begun(drive, nodes, start, run(nodes, start, settings.smoothing.gate_probability), tuple(warnings))
+
+
+def _ungated(begun: Begun) -> FilterRun:
+    """Return a run that has refused no gravity."""
+    found = begun.run.innovations
+    refused = bool(np.any((found.role == "gravity") & ~found.used))
+    return run(begun.nodes, begun.start, 1.0) if refused else begun.run
+
+
+def _spared(causes: Sequence[Warn]) -> bool:
+    """Whether it is the accelerometer that is at fault, not the gyro."""
+    return bool(ACCELEROMETER & {warn.code for warn in causes})
+
+
+def _told_raised(times: float) -> Warn:
+    """Say by how much the gyro's noise was raised, and what may be the matter."""
+    message = f"the gyro drifts {times:.3g} times its noise in motion: sigma raised to fit"
+    hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
+    if times > ABSURD:
+        hint = "no scale or vibration does that: check axes, signs and units of both, and the accelerometer's bias"
+    return Warn("gyro-noise-raised", message, hint, fatal=times > ABSURD)
 
 
 def _heading(found: FilterRun) -> str:
@@ -53,14 +101,16 @@ def _heading(found: FilterRun) -> str:
     return found.heading if seen & {"sun", "compass", "magnetometer", "orientation"} else "relative"
 
 
-def consistent_run(nodes: Nodes, start: Start, gate: float) -> tuple[Nodes, FilterRun, float]:
-    """Run the filter; where gravity at the stops says that the gyro drifts more in motion than its noise allows, raise
-    the gyro's variance until it fits. Return nodes and run, and the factor.
+def consistent_run(
+    nodes: Nodes, start: Start, gate: float, forward: FilterRun | None = None
+) -> tuple[Nodes, FilterRun, float]:
+    """Run the filter, unless it has been (``forward``); where gravity at the stops says that the gyro drifts more in
+    motion than its noise allows, raise the gyro's variance until it fits. Return nodes and run, and the factor.
 
     Gravity at a stop that follows a motion is the one measurement that cannot be an outlier: rejecting it would keep a
     wrong attitude with a small sigma. Its mean NIS over the motions is the factor.
     """
-    forward, raised = run(nodes, start, gate), 1.0
+    forward, raised = forward or run(nodes, start, gate), 1.0
     for _ in range(MOST_RAISES):
         found = forward.innovations
         at_stops = (found.role == "gravity") & ~nodes.moving[found.node]

@@ -16,7 +16,7 @@ STEP_S, FINE_S = 0.1, 0.01
 MOST = 500  # measurements that are asked
 FEW = 20
 CAP = 16.0  # squared sigmas that a measurement may miss by: outliers tell no lag
-SIGNIFICANT = 60.0  # drop of the misfit, in units of what it comes down to: about eight sigma
+SIGNIFICANT = 36.0  # drop of the misfit, in units of what it comes down to: six sigma
 LEAST_S = 0.03  # what is smaller changes nothing
 
 Residual = Callable[[Fixes, Array, World, Settings], tuple[Array, float]]

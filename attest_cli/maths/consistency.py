@@ -17,7 +17,7 @@ Status = Literal["PASS", "WARN", "FAIL"]
 BAND = 1e-4  # two-sided probability outside which a mean NIS is not chance
 SLIGHT = 1.25  # a mean NIS this far beyond its band is sure, but of no consequence
 FAR_OFF = 4.0  # mean NIS over its degrees of freedom: sigma cannot be trusted
-MANY_REJECTED, MOST_REJECTED = 0.01, 0.5
+MANY_REJECTED, MOST_REJECTED = 0.01, 0.3  # where a third is refused, who is wrong cannot be told
 TOGETHER = 10  # readings whose errors are summed: one that lasts stands out
 FEW = 5  # measurements of a sensor that say little about its noise
 MOST_DEGREES = 4000  # from there on the band of the mean is far narrower than what is slight
@@ -83,9 +83,9 @@ def lasting(z: Array) -> tuple[float, int]:
     return float(np.mean(np.sum(sums**2, axis=1))), blocks
 
 
-def noise_status(mean: float, used: int, dof: int) -> Status:
-    """Return the verdict on a mean NIS: noise claimed too large only makes sigma careful."""
-    if used < FEW or mean_nis(mean, used, dof) != "larger":
+def noise_status(mean: float, used: int, dof: int, few: int = FEW) -> Status:
+    """Return the verdict on a mean NIS of more than a ``few``: noise claimed too large only makes sigma careful."""
+    if used < few or mean_nis(mean, used, dof) != "larger":
         return "PASS"
     return "FAIL" if mean > FAR_OFF * dof else "WARN"
 

@@ -10,6 +10,7 @@ SIZE_OFF, DIP_OFF = 0.1, np.radians(5.0)  # share of the field, rad: what a cali
 NORMALISED = 1e-3  # spread of a field whose size was taken out
 MAD = 1.4826
 FEW = 10
+SAME, OFTEN = 1e-5, 0.02  # spread of sizes that are one; share of rows that is no moment
 STEEPEST = 0.2  # least horizontal share of the field that a heading is told from
 HINT = "attest calibrate-bias finds its iron; away from steel and motors it would be better; heading counts less"
 
@@ -40,9 +41,33 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
     facts = [f"its size is {100 * size_off:.0f} % off"] if size_off > SIZE_OFF else []
     facts += [f"its dip at the stops is {np.degrees(dip_off):.0f} deg off"] if dip_off > DIP_OFF else []
     if not facts:
-        return 0.0, []
+        return 0.0, [*_normalised(fixes, sizes, log), *_disturbed(fixes, sizes / usual - 1.0)]
     told = Warn("magnetometer-uncalibrated", f"the magnetic field is not the Earth's: {' and '.join(facts)}", HINT)
     return max(size_off, float(np.sin(min(dip_off, 0.5 * np.pi)))) / max(level, STEEPEST), [told]
+
+
+def _normalised(fixes: Fixes, sizes: Array, log: Log) -> list[Warn]:
+    """Say that the size of the field was taken out: no sensor is so still."""
+    if np.ptp(sizes) > SAME * np.median(sizes) or any("normalised" in warning.message for warning in log.warnings):
+        return []
+    message = f"{fixes.channel}: the magnetic field has one size in every row: it was normalised"
+    return [
+        Warn("magnetometer-normalised", message, "iron nearby cannot be seen in its size; log the field as measured")
+    ]
+
+
+def _disturbed(fixes: Fixes, off: Array) -> list[Warn]:
+    """Say where the size of the field leaves its usual one for more than a moment."""
+    far = np.abs(off) > SIZE_OFF
+    if np.count_nonzero(far) < max(OFTEN * len(off), FEW):
+        return []
+    edges = np.diff(np.concatenate([[0], far.astype(np.int64), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    longest = int(np.argmax(fixes.t[ends] - fixes.t[starts]))
+    first, last = fixes.t[starts[longest]], fixes.t[ends[longest]]
+    message = f"the magnetic field is up to {100 * np.abs(off).max():.0f} % off its usual size, over 10 % in "
+    message += f"{100 * far.mean():.0f} % of its rows, at the longest from {first:.1f} to {last:.1f} s"
+    return [Warn("magnetometer-disturbed", message, "iron or currents are near: heading may be off there by more")]
 
 
 def _dips(fixes: Fixes, log: Log, segmentation: Segmentation) -> Array:

@@ -10,9 +10,10 @@ from ..records import Fixes, Log, Recording, Warn
 from ..settings import Settings
 from . import axes, course, quaternions
 from .clock import seconds
+from .epochs import one_clock
 from .fixes import Span, fixes_of
 from .imu import ImuRows, imu_rows
-from .roles import Cast, choose
+from .roles import Cast, choose, told
 from .stuck import unchanging
 
 __all__ = ["choose", "prepare"]
@@ -42,14 +43,17 @@ def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool 
     Raises
     ------
     AttestError
-        If there is no IMU, a named channel is missing, the clock steps back, gravity is missing, or too little is left.
+        If there is no IMU, a named channel is missing, files are on other clocks, the clock steps back, gravity is
+        missing, or too little is left.
     """
     files = ", ".join(recording.source.name for recording in recordings)
     cast = choose(recordings, settings)
+    if len(recordings) > 1:
+        one_clock(cast.channels, recordings)
     parts = [cast.channels["imu"]] if "imu" in cast.channels else [cast.channels["gyro"], cast.channels["accel"]]
     rows = imu_rows(files, parts, settings, spent=spent)
     span = Span(rows.t0_ns, int(rows.stamps_ns[0]), int(rows.stamps_ns[-1]), settings.time.max_gap_s)
-    warnings = [*(w for recording in recordings for w in recording.warnings), *cast.warnings, *rows.warnings]
+    warnings = [*told(recordings), *cast.warnings, *rows.warnings]
     fixes = _fixes(cast, span, settings, warnings)
     fixes = _changing(fixes, rows, warnings)
     warnings += course.doubts(fixes, rows.imu)

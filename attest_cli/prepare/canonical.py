@@ -25,6 +25,7 @@ GUESSED = ("rad/s", "deg/s", *units.ACCEL_UNITS, *units.MAG_UNITS)
 TESLA = 1e-6  # per microtesla
 
 
+@np.errstate(over="ignore")  # a damaged number stays one
 def in_canonical_units(channels: Sequence[Channel], settings: Settings) -> tuple[list[Channel], list[Warn]]:
     """Convert channels to the units of attest's own logs: as stated, held against physics as ``prepare`` does it.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import AttestError
 from ..records import Array, Bools, Ints, Warn
+from .epochs import HOUR_S, whole_hours
 
 STEP_BACK_NS = 500_000_000
 """A larger step back is another clock, not rows in a wrong order."""
@@ -99,7 +100,9 @@ def _refuse_step(name: str, stamps_ns: Ints, latest: Ints, back: Ints, t0_ns: in
         raise AttestError(f"{name}: the rows are in reverse order, the latest first", "sort them by their stamps")
     row = int(np.argmax(back > STEP_BACK_NS))
     when, size = (int(latest[row]) - t0_ns) // 1_000_000 * 1e-3, int(back[row]) * 1e-9
-    message = f"{name}: the clock steps back by {size:.3f} s at {when:.3f} s (row {row + 1})"
+    hours = whole_hours(-size, float(np.median(np.diff(stamps_ns))) * 1e-9)
+    exact = f", by {hours * HOUR_S:.0f} s but for a sample: summer time or another zone" if hours else ""
+    message = f"{name}: the clock steps back by {size:.3f} s at {when:.3f} s (row {row + 1}){exact}"
     raise AttestError(message, f"cut the log there, or take the part before it with --end {when:.3f}")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
 
 GPS_SIGMA_M = 3.0  # where nothing is stated
+LARGEST = 1e12  # a raw value beyond this is a damaged number
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
 DRIVING_M_S, SIDEWAYS = 0.1, 3.0
 CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})
@@ -44,12 +45,16 @@ def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnin
     role : str
         Any of ``records.ROLES`` but imu, gyro, accel.
     """
+    channel, beyond = _within_measure(channel)
     values, sigma = CONVERTERS[role](channel, settings, warnings)
     good = _usable(role, values)
     bad = int(np.count_nonzero(~good))
     if bad:
         message = f"{bad} of {good.size} measurements of {channel.name} ({role}) dropped: {_why(role)}"
-        warnings.append(Warn(f"{role}-dropped", message))
+        warnings.append(Warn(f"{role}-dropped", f"{message}, or {beyond}" if beyond else message))
+    elif beyond:
+        message = f"cells of {channel.name} ({role}) count as blank: {beyond}"
+        warnings.append(Warn(f"{role}-out-of-range", message, "lost bytes make such numbers"))
     stamps_ns, values, sigma = channel.stamps_ns[good], values[good], None if sigma is None else sigma[good]
     ordered = in_order(channel.name, stamps_ns, values, span.t0_ns, strict=False)
     warnings.extend(ordered.warnings)
@@ -61,7 +66,8 @@ def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnin
     if role in CHECKED_FOR_REPEATS:
         inside &= _fresh(role, channel.name, values, warnings)
     t = seconds(stamps_ns[inside], span.t0_ns)
-    return Fixes(role, channel.name, t, values[inside], None if sigma is None else sigma[inside])
+    sigma = None if sigma is None or not np.any(np.isfinite(sigma[inside])) else sigma[inside]
+    return Fixes(role, channel.name, t, values[inside], sigma)
 
 
 def _inside(role: str, name: str, stamps_ns: Ints, span: Span, settings: Settings, warnings: list[Warn]) -> Bools:
@@ -85,6 +91,14 @@ def _inside(role: str, name: str, stamps_ns: Ints, span: Span, settings: Setting
         message = f"{far} of {stamps_ns.size} measurements of {name} ({role}) dropped: outside the IMU's time"
         warnings.append(Warn("outside-imu-span", message))
     return inside
+
+
+def _within_measure(channel: Channel) -> tuple[Channel, str]:
+    """Blank damaged numbers, whose squares overflow; say which."""
+    wrong = {name: rows for name, v in channel.values.items() if np.any(rows := np.abs(v) > LARGEST)}
+    values = {name: np.where(wrong[name], np.nan, v) if name in wrong else v for name, v in channel.values.items()}
+    told = ", ".join(f"{np.count_nonzero(rows)} of {name}" for name, rows in wrong.items())
+    return (replace(channel, values=values), f"beyond any measure: {told}") if wrong else (channel, "")
 
 
 def _usable(role: str, values: Array) -> Bools:

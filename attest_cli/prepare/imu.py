@@ -14,13 +14,14 @@ from ..records import COLUMNS, Array, Bools, Channel, Imu, Ints, Warn
 from ..settings import Settings
 from . import axes, clipping, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
+from .epochs import HOUR_S, SET_NS, whole_hours
+from .fixes import LARGEST
 from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
 MIN_ROWS = 50
 MIN_SECONDS = 2.0
 STEPS_S, FEW_STEPS = (1e-4, 1.0), 20_000  # median step of an IMU; steps that tell it
 LISTED_GAPS = 3
-LARGEST = 1e12  # a raw value beyond this is a damaged number
 FASTEST_RAD_S, STRONGEST_M_S2 = 1e3, 1e5  # no IMU measures more: 57 000 deg/s, 10 000 g
 FEW_MISSING = 0.01  # of the samples, lost one by one
 MANY = 0.1  # of the samples: no lost bytes, but another unit
@@ -97,7 +98,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
     warnings += axes.doubts(f"channel {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel)
     holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
     if holes_ns.size:
-        warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns)))
+        warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns), float(np.median(np.diff(stamps_ns))) * 1e-9))
     imu = Imu(seconds(stamps_ns, t0_ns), gyro, accel)
     imu = _unclipped(f"{files}: {parts[0].name}", imu, settings.time.max_gap_s, warnings)
     return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, rows_in, seconds_in, tuple(warnings))
@@ -311,7 +312,7 @@ def _told_spikes(name: str, lone: Bools, stamps_ns: Ints, t0_ns: int) -> Warn:
     return Warn("imu-spikes", message, "what is left is used; a loose plug or a lost byte makes such samples")
 
 
-def _told_gaps(files: str, holes: Array) -> Warn:
+def _told_gaps(files: str, holes: Array, period_s: float) -> Warn:
     lengths = holes[:, 1] - holes[:, 0]
     shown = ", ".join(
         f"{length:.2f} s from {start:.2f} s" for start, length in zip(holes[:LISTED_GAPS, 0], lengths, strict=False)
@@ -321,4 +322,12 @@ def _told_gaps(files: str, holes: Array) -> Warn:
         message = f"{files}: a gap in the IMU of {shown}"
     else:
         message = f"{files}: {len(holes)} gaps in the IMU, {lengths.sum():.2f} s in all: {shown}{more}"
+    for start, length in zip(holes[:, 0], lengths, strict=True):
+        if length > SET_NS * 1e-9:
+            parts = f"--end {start:.2f} takes the part before it, --start {start + length:.2f} that behind it"
+            return Warn("imu-gap", f"{message}; at {start:.2f} s the clock was set: that is no pause", parts)
+        if hours := whole_hours(length, period_s):
+            message += f"; that from {start:.2f} s is a jump of exactly {hours * HOUR_S:.0f} s"
+            hint = "the clock was set to summer time or another zone, it seems: log stamps in UTC"
+            return Warn("imu-gap", message, hint)
     return Warn("imu-gap", message, "nothing is integrated across a gap; the sigma grows there")

@@ -14,6 +14,9 @@ EVEN = 0.25  # of its length: a stretch without a hole keeps its time
 FEW = 10  # stretches that tell nothing: all of the log is asked
 
 WHOLE = 0.25  # of a period: steps over lost samples are so near to a multiple of it; those of a poor clock are not
+RUN, FULLEST = 150, 0.05  # samples; share of the runs of so many that are taken to be whole
+ALIKE, FULL = 0.98, 0.04  # share of steps that agree; how far the fullest runs may be off where few samples are lost
+SPREAD = 2.5  # periods: runs of as many samples differ by more where many are lost
 SENTINELS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2147483647.0, 2147483648.0)
 SENTINEL_SHARE, SENTINEL_FACTOR = 0.01, 20.0  # of the rows; times the 99th percentile of the others
 
@@ -22,17 +25,41 @@ def missing(stamps_ns: Ints, longest_s: float, dropped: int = 0) -> float:
     """Return the share of samples that are lost in short holes, but for those that were ``dropped`` on the way.
 
     A hole is a step near to two or more periods. A clock that is late once, and early after it, has lost nothing: the
-    time that goes beyond one period a step, over all short steps, must be as long.
+    time that goes beyond one period a step, over all short steps, must be as long. The share is too low rather than too
+    high where stamps are rounded to ticks of about a period: lost samples then hide in them.
     """
     step = np.diff(stamps_ns) * 1e-9
-    period = float(np.median(step)) if step.size else 0.0
-    short = step[step <= max(longest_s, MISSING * period)]
+    usual = float(np.median(step)) if step.size else 0.0
+    short = step[step <= max(longest_s, MISSING * usual)]
+    period = _period(short)
     if period <= 0.0 or not np.any(short > MISSING * period):
         return 0.0
     count = np.rint(short / period) - 1.0
-    holes = (short > MISSING * period) & (np.abs(short - (count + 1.0) * period) < WHOLE * period)
+    uneven = np.abs(short[short <= MISSING * period] - period)
+    near = max(WHOLE * period, float(np.quantile(uneven, 0.9)) if uneven.size else 0.0)
+    holes = (short > MISSING * period) & (np.abs(short - (count + 1.0) * period) < near)
     lost = min(float(count[holes].sum()), float(short.sum()) / period - short.size) - dropped
     return max(lost, 0.0) / (stamps_ns.size + max(lost, 0.0))
+
+
+def _period(steps: Array) -> float:
+    """Return the time between samples of which none is lost.
+
+    Rounded stamps step by a tick or two, and the median of that is no period: the fullest runs of many samples tell it,
+    but too long where samples are lost in every run; there steps that agree tell it better.
+    """
+    run = min(RUN, steps.size // 4)
+    if not run:
+        return float(np.median(steps)) if steps.size else 0.0
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    full, middle = np.quantile(t[run:] - t[:-run], (FULLEST, 0.5))
+    period = float(full) / run
+    whole = steps[steps < MISSING * period]
+    alike = whole[np.abs(whole - period) < WHOLE * period]
+    lossy = middle - full > SPREAD * period  # ticks fall evenly, lost samples do not
+    if alike.size > ALIKE * whole.size and (lossy or abs(float(alike.mean()) / period - 1.0) < FULL):
+        return min(period, float(alike.mean()))
+    return period
 
 
 def without_sentinels(values: Array) -> tuple[Array, str]:

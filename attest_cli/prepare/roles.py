@@ -98,6 +98,17 @@ def _after(first: Channel, second: Channel) -> Channel:
     return replace(second, stamps_ns=second.stamps_ns[repeated:], values=values)
 
 
+def told(recordings: Sequence[Recording]) -> list[Warn]:
+    """Return what the readers said of their files; a renamed column is missing only where no file of a drive has it."""
+    missing = [{_column(w) for w in recording.warnings if w.code == "no-such-column"} for recording in recordings]
+    nowhere = set[str]().union(*missing[:1]).intersection(*missing)
+    return [w for r in recordings for w in r.warnings if w.code != "no-such-column" or _column(w) in nowhere]
+
+
+def _column(warning: Warn) -> str:
+    return warning.message.partition(": no column ")[2]
+
+
 def with_named(recordings: Sequence[Recording], settings: Settings) -> list[Channel]:
     """Return all channels, joined, with the role that settings give them; a channel is there once per role.
 

@@ -11,6 +11,8 @@ import numpy as np
 from ..errors import AttestError
 from ..records import Array, Channel, Warn
 from ..settings.units import unit
+from . import unit_change
+from .unit_change import DEGREES
 
 SI: Mapping[str, str] = {"gyro": "rad/s", "accel": "m/s^2", "mag": "T"}
 """Quantity -> its SI unit, assumed where none is stated and physics does not object."""
@@ -44,7 +46,6 @@ LARGEST_TURN = 0.5  # rad: above it a window is too long for the comparison
 MIN_WINDOWS = 4
 AGREEMENT = 0.4  # share of the turning of gravity explained, from which the gyro's unit is told
 CONVINCED = 0.6  # the same, from which values are converted to another unit than stated or usual
-DEGREES = 40.0, 80.0  # ratio of the scales of two parts in radians and degrees; nothing else changes in a log
 FEW_STEPS = 20  # between windows
 
 
@@ -140,6 +141,7 @@ def gyroscope(channel: Channel, names: Sequence[str], t: Array, accel: Array, wa
     found = turns(t, quantity.values, accel, scales=(1.0, ratio))
     as_taken, as_other = map(_agreement, found)
     _refuse_change(channel, found[0 if ratio > 1.0 else 1])
+    unit_change.refuse(channel.name, t, quantity.values, accel)
     if as_other > max(CONVINCED, as_taken):
         fact = f"the turning of gravity agrees with {other} ({as_other:.0%} of it explained)"
         warnings.append(_told(channel, "gyro", quantity.stated, other, fact))

@@ -58,11 +58,15 @@ SCALARS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Canonical name -> aliases, words joined by ``_`` and without a unit."""
 
+DATES = ("date", "local_date", "utc_date", "date_utc")
+"""Names of a column of dates beside times of day."""
+
 TIME = (
     "timestamp", "header_stamp", "field_header_stamp", "time", "t", "seconds_elapsed", "elapsed", "elapsed_time",
     "time_elapsed", "elapsed_seconds", "stamp", "time_stamp", "datetime", "date_time", "utc", "unix_time",
     "unix_timestamp", "epoch", "epoch_time", "uptime", "time_boot", "time_since_boot", "time_since_start", "host_time",
-    "host_timestamp", "system_time", "logging_time", "seconds", "millis", "micros", "sample_time_fine",
+    "host_timestamp", "system_time", "logging_time", "seconds", "millis", "micros", "local_time", "time_of_day",
+    "utc_time", "sample_time_fine", *DATES,
 )  # fmt: skip
 """Names of the time column without their unit, best first."""
 
@@ -79,6 +83,9 @@ TIME_ENDINGS: Mapping[str, str] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "millisecond", "milliseconds"), "ms"),
     **dict.fromkeys(("us", "usec", "usecs", "micros", "microsec", "microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hour", "hours"), "h"),
+    **dict.fromkeys(("d", "day", "days"), "d"),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"), "ns"),
 }
 """Last word of a time column -> its unit."""

@@ -18,19 +18,18 @@ import pyarrow.csv as pv
 from ..errors import AttestError
 from ..records import Recording, Warn
 from ..settings import Settings
-from .columns import recognise
+from .columns import Column, recognise
 from .dialect import BLANKS, NUMBER, Dialect, cells_of, decimal_of, head_lines, layout, sniff
 from .stamps import taken_unit
-from .tables import Layout, check_size, layout_of, recording_of
+from .tables import MAX_BAD_SHARE, WRITTEN, Layout, check_size, layout_of, recording_of
+from .text_numbers import plain, told_grouped
 from .text_stamps import stamps_of
+from .written_times import kind_of
 
 __all__ = ["BLANKS", "columns_of", "read", "sniff"]
 
 MOST_TYPES = 50
 """Types of rows that are counted one by one, where no columns are named for them."""
-
-MAX_BAD_SHARE = 0.01
-"""Above this share of rows that cannot be read the file is refused: it is not the table it seems to be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +64,21 @@ def columns_of(path: Path, dialect: Dialect, settings: Settings) -> Layout:
     return layout_of(path, dialect.names, dialect.units, settings.table, rate_hz=rate, recorder=recorder)
 
 
+def _timed(layout: Layout, table: pa.Table) -> Layout:
+    """Say in the layout whether its times are written as such, and take the date only where it belongs to them."""
+
+    def kind(column: Column | None) -> str:
+        cells = table.column(str(column.index)) if column is not None else ()
+        return kind_of(next((cell.as_py() for cell in cells if cell.is_valid and cell.as_py().strip()), ""))
+
+    written = kind(layout.time) if layout.rate_hz is None else ""
+    if not written:
+        return replace(layout, date=None)
+    if written == WRITTEN[1] and kind(layout.date) == WRITTEN[0]:
+        return replace(layout, time=replace(layout.time, unit=WRITTEN[0]))
+    return replace(layout, time=replace(layout.time, unit=written), date=None)
+
+
 def _recording(path: Path, dialect: Dialect, settings: Settings, rows: bytes | None = None) -> Recording:
     layout = columns_of(path, dialect, settings)
     text = _Text(path, dialect, layout, rows)
@@ -76,13 +90,19 @@ def _recording(path: Path, dialect: Dialect, settings: Settings, rows: bytes | N
     if len(bad) > MAX_BAD_SHARE * (columns.num_rows + len(bad)) and len(bad) > 1:
         message = f"{path}: {len(bad)} rows have not the {len(dialect.names)} cells of the header: {bad[0][1][:60]!r}"
         raise AttestError(message, "make it one table with one header; --columns names rows of several types")
+    layout = _timed(layout, columns)
     if bad:
         cells = f"{len(dialect.names)} cells, the first: {bad[0][1][:60]!r}"
         message = f"{path.name}: {len(bad)} rows skipped that have not {cells}"
         told = (*told, Warn("ragged-rows", message, "mend or delete these lines"))
     values = {c.index: np.asarray(columns.column(str(c.index)).to_numpy(), np.float64) for c in layout.columns}
     found = recording_of(
-        path, "csv", layout, values, lambda imu_rows: stamps_of(path, dialect, layout, columns, imu_rows), told
+        path,
+        "csv",
+        layout,
+        values,
+        lambda imu_rows: stamps_of(path, dialect, layout, columns, imu_rows, settings.table.day_first),
+        told,
     )
     return replace(found, notes=(dialect.told, *found.notes))
 
@@ -161,14 +181,13 @@ def _table(text: _Text, bad: list[tuple[int | None, str]]) -> tuple[pa.Table, tu
         raise AttestError(
             f"{path}: cannot be read: {str(error).splitlines()[0]}", "is it one table in UTF-8?"
         ) from None
-    told = []
+    told: list[Warn] = []
     for column in text.layout.columns:
-        cells = table.column(str(column.index))
-        if text.dialect.decimal == ",":
-            cells = pc.replace_substring(cells, ",", ".")
+        cells, grouped = plain(table.column(str(column.index)), text.dialect.decimal)
+        told += told_grouped(path, column.name, grouped)
         number = pc.fill_null(pc.match_substring_regex(cells, rf"(?i)^({NUMBER.pattern})$"), fill_value=False)
         number = pc.and_(number, pc.invert(pc.fill_null(pc.match_substring(cells, ","), fill_value=False)))
-        wrong = pc.filter(cells, pc.and_(pc.is_valid(cells), pc.invert(number)))
+        wrong = pc.filter(table.column(str(column.index)), pc.and_(pc.is_valid(cells), pc.invert(number)))
         if len(wrong) > MAX_BAD_SHARE * table.num_rows and len(wrong) > 1:
             message = (
                 f"{path}: column {column.name!r} holds text in {len(wrong)} rows, the first: {wrong[0].as_py()[:40]!r}"

@@ -18,11 +18,18 @@ DELIMITERS = {"tab": "\t", ";": ";", ",": ",", "space": " "}
 """Name of a delimiter in the settings -> the delimiter, the least ambiguous first."""
 
 BLANKS = ["", "NaN", "nan", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "--", "-"]
-DATE = re.compile(r"\s*\d{4}-\d\d-\d\d([T ]\d\d:\d\d.*)?")
+_DATE = r"(?P<a>\d{1,4})(?P<mark>[-/.])(?P<b>\d{1,2}|[A-Za-z]{3,9})[-/.](?P<c>\d{1,4})"
+_CLOCK = r"(?:(?P<hour>\d{1,2}):)?(?P<minute>\d{1,2}):(?P<second>\d{2})(?:[.,](?P<fraction>\d+))?"
+_ZONE = r"(?:\s?(?P<half>[AaPp])\.?[Mm]\.?)?(?:\s?(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?))?"
+TIME = re.compile(rf"^\s*(?:{_DATE}(?:T|,?\s+|$))?(?:{_CLOCK}{_ZONE})?\s*$")
+"""A date, a time of day, or both."""
 NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
 
-_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
-_POINT = re.compile(r"\s*[-+]?(\d+\.\d*|\.\d+)([eE][-+]?\d+)?\s*")
+_APART = "['’ \u00a0\u2009\u202f]"  # between thousands, where no decimal mark is meant
+_COMMA = re.compile(rf"\s*[-+]?(\d{{1,3}}((\.|{_APART})\d{{3}})+|\d*),\d+([eE][-+]?\d+)?\s*")
+_POINT = re.compile(rf"\s*[-+]?((\d{{1,3}}((,|{_APART})\d{{3}})+|\d+)\.\d*|\.\d+)([eE][-+]?\d+)?\s*")
+_THOUSANDS = re.compile(r"\s*[-+]?[1-9]\d{0,2}(,\d{3})+\s*")
+_GROUPED = re.compile(rf"\s*[-+]?\d{{1,3}}([,.]\d{{3}}|{_APART}\d{{3}})+([.,]\d*)?\s*")
 _COMMENT = re.compile(r"^\s*(#|//|%)\s*")
 _RATE = re.compile(
     r"\b(?:update|sampl\w*|data|output)[ _]?(?:rate|frequency)\b\W{0,12}(\d+(?:\.\d+)?)\W{0,3}(k?hz)",
@@ -135,14 +142,18 @@ def is_data(line: str, cells: Sequence[str]) -> bool:
     if len(cells) < 2 or _COMMENT.match(line):
         return False
     filled = [cell for cell in cells if cell.strip() and cell.strip() not in BLANKS]
-    numbers = sum(bool(NUMBER.fullmatch(cell) or DATE.fullmatch(cell)) for cell in filled)
+    numbers = sum(any(kind.fullmatch(cell) for kind in (NUMBER, TIME, _GROUPED)) for cell in filled)
     return numbers > 0 and numbers > 0.6 * len(filled) and bool(cells[0].strip() or len(filled) > 1)
 
 
 def decimal_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
-    """Tell the decimal mark; a comma and a point in one table could be thousands, and are refused."""
-    comma = next((cell for row in rows for cell in row if _COMMA.fullmatch(cell)), None)
+    """Tell the decimal mark; what could be decimals or thousands is refused."""
+    commas = [cell for row in rows for cell in row if _COMMA.fullmatch(cell)]
+    comma = next((cell for cell in commas if not _THOUSANDS.fullmatch(cell)), None)
     point = next((cell for row in rows for cell in row if _POINT.fullmatch(cell)), None)
+    if comma is None and commas and point is None:
+        message = f"{path}: decimal comma or thousands? {commas[0].strip()!r} can be read in two ways"
+        raise AttestError(message, 'say it in attest.toml: decimal = "," or "." under [table]')
     if comma is None:
         return "."
     if point is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ..errors import AttestError
@@ -15,8 +16,9 @@ from ..settings import Settings
 from . import stamps
 from .arrow import is_number, numbers
 from .columns import Column
-from .tables import Layout, check_size, layout_of, recording_of
+from .tables import WRITTEN, Layout, check_size, layout_of, recording_of
 from .text_stamps import Stamps, at_rate, unwrapped
+from .written_times import kind_of, parse
 
 NS_PER_S = 1_000_000_000
 
@@ -34,6 +36,7 @@ def read(path: Path, settings: Settings) -> Recording:
         check_size(path, rows, len(layout.times) + len(layout.columns))
         if rows == 0:
             raise AttestError(f"{path}: the table has no rows", "was the recording empty?")
+        day = settings.table.day_first
         times = {c.index: _column(file, schema, c.index) for c in layout.times}
         values = _values(path, file, schema, layout)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
@@ -41,7 +44,7 @@ def read(path: Path, settings: Settings) -> Recording:
         raise AttestError(
             f"{path}: damaged Parquet: {reason}", "copy it again; a damaged page cannot be mended"
         ) from None
-    return recording_of(path, "parquet", layout, values, lambda imu_rows: _stamps(path, layout, times, imu_rows))
+    return recording_of(path, "parquet", layout, values, lambda imu_rows: _stamps(path, layout, times, imu_rows, day))
 
 
 class Columns(Mapping[int, Array]):
@@ -124,7 +127,9 @@ def _floats(path: Path, name: str, column: pa.ChunkedArray) -> Array:
     return np.asarray(numbers(cast), dtype=np.float64)
 
 
-def _stamps(path: Path, layout: Layout, times: Mapping[int, pa.ChunkedArray], imu_rows: Bools) -> Stamps:
+def _stamps(
+    path: Path, layout: Layout, times: Mapping[int, pa.ChunkedArray], imu_rows: Bools, day_first: bool | None
+) -> Stamps:
     """Return the time of the rows; whole seconds in a column of their own are added to a time within the second."""
     if layout.rate_hz is not None:
         counter = times.get(layout.time.index)
@@ -135,22 +140,34 @@ def _stamps(path: Path, layout: Layout, times: Mapping[int, pa.ChunkedArray], im
         time = layout.recorder
         message = f"{path.name}: {layout.time.name!r} is zero in every row; {time.name!r} is used"
         told = (Warn("zero-stamps", message, "let the driver fill in header.stamp"),)
-    found, valid, guessed = _of_column(path, time, times[time.index], imu_rows)
+    found, valid, guessed = _of_column(path, time, _dated(layout, time, times), imu_rows, day_first)
     if layout.seconds is not None and time is layout.time and int(np.max(found, initial=0)) < NS_PER_S:
-        whole, known, _ = _of_column(path, layout.seconds, times[layout.seconds.index], imu_rows)
+        whole, known, _ = _of_column(path, layout.seconds, times[layout.seconds.index], imu_rows, day_first)
         found, valid = found + whole, valid + 0.0 * known
     return found, valid, (*told, *guessed)
+
+
+def _dated(layout: Layout, time: Column, times: Mapping[int, pa.ChunkedArray]) -> pa.ChunkedArray:
+    """Return a column of times; those of a day that are text behind their date."""
+    column, texts = times[time.index], (pa.types.is_string, pa.types.is_large_string, pa.types.is_time)
+    if time is not layout.time or layout.date is None or not any(is_kind(column.type) for is_kind in texts):
+        return column
+    text = column.cast(pa.string())
+    first = next((cell.as_py() for cell in text if cell.is_valid), "")
+    date = times[layout.date.index]
+    return pc.binary_join_element_wise(date.cast(pa.string()), text, " ") if kind_of(first) == WRITTEN[1] else column
 
 
 def _all_zero(column: pa.ChunkedArray) -> bool:
     return is_number(column.type) and not np.any(np.nan_to_num(numbers(column)))
 
 
-def _of_column(path: Path, time: Column, column: pa.ChunkedArray, imu_rows: Bools) -> Stamps:
+def _of_column(path: Path, time: Column, column: pa.ChunkedArray, imu_rows: Bools, day_first: bool | None) -> Stamps:
     kind, unit = column.type, time.unit
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        column = stamps.parse_dates(column, path)
-        kind = column.type
+    if pa.types.is_time(kind):
+        column = column.cast(pa.string())
+    if pa.types.is_string(column.type) or pa.types.is_large_string(kind):
+        return (*parse(path, time.name, column.cast(pa.string()), day_first=day_first), ())
     if pa.types.is_timestamp(kind):
         return (*stamps.from_dates(column), ())
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
@@ -159,5 +176,8 @@ def _of_column(path: Path, time: Column, column: pa.ChunkedArray, imu_rows: Bool
     told: tuple[Warn, ...] = ()
     if unit not in stamps.DIGITS:
         rows = imu_rows if np.any(imu_rows) else ~imu_rows
+        days = stamps.in_days(np.asarray(counts[rows], np.float64), unit, imu=bool(np.any(imu_rows)), path=path)
+        if days is not None:
+            return (*stamps.from_days(np.asarray(counts, np.float64) * days[0], days[1]), days[2])
         unit, told = stamps.guess_unit(np.asarray(counts[rows], np.float64), imu=bool(np.any(imu_rows)), path=path)
     return (*stamps.from_numbers(counts, unit), told)

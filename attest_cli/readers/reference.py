@@ -25,6 +25,7 @@ from .columns import recognise, time_column, words_of
 from .csv_log import BLANKS, sniff
 from .result import read_result
 from .tables import check_size
+from .written_times import kind_of, parse
 
 ATTITUDE, POSITION = ("q_w", "q_x", "q_y", "q_z"), ("position_x", "position_y", "position_z")
 SIGMAS = (
@@ -295,8 +296,9 @@ def _stamps(path: Path, column: pa.ChunkedArray, stated: str) -> tuple[Ints, Boo
     is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
     if is_text:
         first = next((cell.as_py() for cell in column if cell.is_valid), "")
-        if re.match(r"\s*\d{4}-\d\d-\d\d", first):
-            column, is_text = stamps.parse_dates(column, path), False
+        if kind_of(first):
+            stamps_ns, valid = parse(path, "time", column.cast(pa.string()))
+            return stamps_ns, np.isfinite(valid)
     if pa.types.is_timestamp(column.type):
         stamps_ns, valid = stamps.from_dates(column)
         return stamps_ns, np.isfinite(valid)

@@ -19,6 +19,9 @@ EPOCH_S = (6.3e8, 4.1e9)  # 1990 to 2100: seconds that are a date
 PERIOD_S = (1e-4, 1.0)  # periods an IMU can have
 OTHER_PERIOD_S = (1e-3, 3600.0)  # periods other sensors can have
 LONGEST_STEP_S = 90.0  # a sensor without a unit of time that steps by more counts no seconds
+LONG_UNITS_S = {"d": 86_400.0, "h": 3600.0, "min": 60.0}
+SERIAL_DAYS = {25_569: (2e4, 8e4), 719_529: (7.1e5, 7.7e5)}
+"""Days from the origin of a spreadsheet's or Matlab's calendar to 1970 -> days that are a date in it."""
 NUMBER = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$"
 """Text that is a stamp."""
 
@@ -57,6 +60,42 @@ def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, .
     return found[0], (Warn("time-unit-guessed", message, WAY_OUT),)
 
 
+def in_days(raw: Array, unit: str, *, imu: bool, path: Path) -> tuple[float, int, tuple[Warn, ...]] | None:
+    """Tell whether a time column counts days, as spreadsheets do: as it states, or if no other unit fits its steps.
+
+    Returns
+    -------
+    its unit in days, the days before 1970 from which it counts (0: nobody knows), and what should be known; or None
+    """
+    finite = raw[np.isfinite(raw)]
+    steps = np.diff(finite)
+    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    if unit in LONG_UNITS_S and finite.size and unit != "d":
+        return LONG_UNITS_S[unit] / LONG_UNITS_S["d"], 0, ()
+    limits = PERIOD_S if imu else OTHER_PERIOD_S
+    fits = 0.0 < step < limits[0] <= step * LONG_UNITS_S["d"] <= limits[1]
+    if not finite.size or not (fits or unit == "d"):
+        return None
+    middle = float(np.median(finite))
+    since = next((days for days, (low, high) in SERIAL_DAYS.items() if low < middle < high), 0)
+    if unit == "d" and not since:
+        return 1.0, 0, ()
+    first = np.datetime64(round((float(finite[0]) - since) * LONG_UNITS_S["d"]), "s")
+    date = f", as spreadsheets do; it begins on {first}".replace("T", " at ") if since else ""
+    message = f"{path.name}: the time column counts days, by its step of {step:g}{date}"
+    return 1.0, since, (Warn("time-unit-guessed", message, WAY_OUT),)
+
+
+def from_days(values: Array, since: int) -> tuple[Ints, Array]:
+    """Scale days to ns since 1970, which is ``since`` days after their origin."""
+    day_ns = 86_400_000_000_000
+    valid = np.abs(values - since) < LATEST_NS / day_ns
+    safe = np.where(valid, values, since)
+    whole = np.floor(safe)
+    ns = np.rint((safe - whole) * day_ns).astype(np.int64)
+    return (whole.astype(np.int64) - since) * day_ns + ns, np.where(valid, 1.0, np.nan)
+
+
 def taken_unit(warnings: Iterable[Warn]) -> str | None:
     """Return the unit of time that ``guess_unit`` has told of."""
     told = next((warning.message for warning in warnings if warning.code == "time-unit-guessed"), "")
@@ -77,7 +116,8 @@ def from_text(column: pa.ChunkedArray, unit: str, path: Path) -> tuple[Ints, Arr
             decimal = pc.cast(column, pa.decimal128(38, digits))
         except pa.ArrowInvalid as error:
             raise AttestError(f"{path}: the time column cannot be read: {_first_line(error)}", WAY_OUT) from None
-    return _low_words(decimal.combine_chunks() if isinstance(decimal, pa.ChunkedArray) else decimal, path)
+    whole = decimal.combine_chunks() if isinstance(decimal, pa.ChunkedArray) else decimal
+    return _low_words(whole, column, path)
 
 
 def from_numbers(values: Array | Ints, unit: str) -> tuple[Ints, Array]:
@@ -100,23 +140,16 @@ def from_dates(column: pa.ChunkedArray) -> tuple[Ints, Array]:
     return found, np.where(np.asarray(pc.is_valid(counts)), valid, np.nan)
 
 
-def parse_dates(column: pa.ChunkedArray, path: Path) -> pa.ChunkedArray:
-    """Parse ISO 8601 text; with or without a zone."""
-    for zone in ("UTC", None):
-        try:
-            return pc.cast(column, pa.timestamp("ns", zone))
-        except pa.ArrowInvalid as error:
-            problem = _first_line(error)
-    raise AttestError(f"{path}: the time column cannot be read: {problem}", "write dates as 2026-06-01T10:00:00.000Z")
-
-
-def _low_words(decimal: pa.Array, path: Path) -> tuple[Ints, Array]:
+def _low_words(decimal: pa.Array, column: pa.ChunkedArray, path: Path) -> tuple[Ints, Array]:
     """Take the low 64 bits of 128-bit decimals that count nanoseconds."""
     words = np.frombuffer(decimal.buffers()[1], np.int64).reshape(-1, 2)[decimal.offset : decimal.offset + len(decimal)]
     valid = np.asarray(pc.is_valid(decimal), dtype=bool)
     low, high = words[:, 0], words[:, 1]
-    if np.any(((high != low >> 63) | (low >= LATEST_NS) | (low <= -LATEST_NS))[valid]):
-        raise AttestError(f"{path}: stamps beyond the year 2116 in the time column", "is its unit right?")
+    wrong = np.flatnonzero(((high != low >> 63) | (low >= LATEST_NS) | (low <= -LATEST_NS)) & valid)
+    if wrong.size:
+        first = column[int(wrong[0])].as_py()
+        message = f"{path}: stamps beyond the year 2116 in the time column, the first: {str(first)[:40]!r}"
+        raise AttestError(message, "is its unit right? Dates are written as 2026-06-01T10:00:00.000Z")
     return np.where(valid, low, 0), np.where(valid, 1.0, np.nan)
 
 

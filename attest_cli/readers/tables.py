@@ -14,6 +14,7 @@ from ..errors import AttestError
 from ..records import COLUMNS, Array, Bools, Channel, Ints, Recording, Warn
 from ..settings.table import Table
 from .columns import (
+    DATES,
     HEADER_STAMPS,
     Column,
     bare_quantity,
@@ -31,6 +32,9 @@ EXTRA: Mapping[str, tuple[str, ...]] = {
 }
 """Columns a role may have beside those of ``records.COLUMNS``."""
 
+WRITTEN = ("date and time", "time of day")
+"""Units of times that are not numbers."""
+
 SIGMAS = frozenset(name for names in EXTRA.values() for name in names) - {"speed", "velocity_down"}
 GPS_VELOCITY = frozenset({*COLUMNS["gps_velocity"], *EXTRA["gps_velocity"]})
 GPS = frozenset({*COLUMNS["gps"], *EXTRA["gps"]})
@@ -38,14 +42,17 @@ GPS = frozenset({*COLUMNS["gps"], *EXTRA["gps"]})
 NEEDED: Mapping[str, int] = {"gps": 2, "gps_velocity": 2, "sun": 2, "odometry": 1, "position": 2}
 """How many of a role's columns must be there, where not all."""
 
+MAX_BAD_SHARE = 0.01
+"""Above this share of rows that cannot be read the file is refused: it is not the table it seems to be."""
+
 MAX_TABLE_BYTES = 2 << 30
 SUSPECT_BYTES, MOST_EXPANDED = 256 << 20, 100  # beyond both a file is a bomb: noise does not pack
 """Limit of rows x columns in use x 8 bytes."""
 
-COUNT_HINT = "in a text log --sample-rate HZ makes time of a counter, or of the rows"
+COUNT_HINT = "of a table --sample-rate HZ makes time of a counter, or of the rows"
 NAMES_HINT = (
     "name the columns, for instance timestamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z; "
-    'without touching a text log: --columns "OLD=gyro_x [rad/s],..."'
+    'without touching the log: --columns "OLD=gyro_x [rad/s],..."'
 )
 
 
@@ -54,8 +61,8 @@ class Layout:
     """Which columns of a table are what.
 
     ``time``: the column of stamps, or of a counter, or none (index -1), where ``rate_hz`` makes time of counts.
-    ``seconds``: whole seconds beside a ``time`` within the second; ``recorder``: the recorder's stamps beside those of
-    the sensor. ``other``: names of columns that are not read.
+    ``seconds``: whole seconds beside a ``time`` within the second; ``date``: that of a ``time`` of day; ``recorder``:
+    the recorder's stamps beside those of the sensor. ``other``: names of columns that are not read.
     """
 
     time: Column
@@ -63,18 +70,20 @@ class Layout:
     other: Mapping[str, str] = field(default_factory=dict)
     seconds: Column | None = None
     recorder: Column | None = None
+    date: Column | None = None
     rate_hz: float | None = None
     warnings: tuple[Warn, ...] = ()
 
     @property
     def times(self) -> tuple[Column, ...]:
         """Every column that is needed for the time."""
-        return tuple(c for c in (self.time, self.seconds, self.recorder) if c is not None and c.index >= 0)
+        return tuple(c for c in (self.time, self.seconds, self.date, self.recorder) if c is not None and c.index >= 0)
 
     @property
     def told(self) -> tuple[str, ...]:
         """What became of which column, in words; indented what is detail."""
         unit = f", in {self.time.unit}" if self.time.unit else ", its unit by its steps"
+        unit = f", as {self.time.unit}" if self.time.unit in WRITTEN else unit
         time = f"time: {self.time.name.strip()!r}{unit}"
         if self.rate_hz is not None:
             time = f"time: {repr(self.time.name) if self.time.index >= 0 else 'the row'} / {self.rate_hz:g} Hz"
@@ -148,6 +157,8 @@ def _time(
 ) -> Layout:
     """Choose what tells the time: a column of stamps, else a counter and a rate."""
     found, counter = time_columns(names, units), counter_column(names)
+    dates = [column for column in found if column.canonical in DATES]
+    found = [column for column in found if column.canonical not in DATES] or dates
     fine = not found or found[0].canonical == "sample_time_fine"  # ticks of no fixed length, often left blank
     if table.sample_rate_hz or (rate_hz is not None and fine and (counter or not found)):
         return Layout(counter or Column(-1, "", "row", "", "", 0), (), rate_hz=table.sample_rate_hz or rate_hz)
@@ -162,7 +173,8 @@ def _time(
     seconds = alike[0] if best.unit in {"ms", "us", "ns"} and alike else None
     fallback = others[0] if best in own and others else None
     unit = table.time_unit or best.unit
-    return Layout(replace(best, unit=unit), (), seconds=seconds, recorder=fallback)
+    date = dates[0] if dates and best.canonical not in DATES else None
+    return Layout(replace(best, unit=unit), (), seconds=seconds, date=date, recorder=fallback)
 
 
 def recording_of(

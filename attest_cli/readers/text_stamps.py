@@ -11,8 +11,11 @@ import pyarrow.compute as pc
 from ..errors import AttestError
 from ..records import Array, Bools, Ints, Warn
 from . import stamps
-from .dialect import DATE, Dialect
-from .tables import COUNT_HINT, Layout
+from .columns import Column
+from .dialect import Dialect
+from .tables import COUNT_HINT, MAX_BAD_SHARE, WRITTEN, Layout
+from .text_numbers import plain, told_grouped
+from .written_times import parse
 
 Stamps = tuple[Ints, Array, tuple[Warn, ...]]
 
@@ -23,7 +26,9 @@ _EXACT_NS = 1_000
 _SAMPLED = 1_000  # rows that show whether stamps are powers of ten
 
 
-def stamps_of(path: Path, dialect: Dialect, layout: Layout, table: pa.Table, imu_rows: Bools) -> Stamps:
+def stamps_of(
+    path: Path, dialect: Dialect, layout: Layout, table: pa.Table, imu_rows: Bools, day_first: bool | None = None
+) -> Stamps:
     """Return stamps (n,) ns, where they are valid (1.0 or NaN), and what should be known.
 
     Raises
@@ -39,36 +44,50 @@ def stamps_of(path: Path, dialect: Dialect, layout: Layout, table: pa.Table, imu
             f"{path.name}: neither time nor counter: rows are counted at {dialect.rate_hz:g} Hz, as the preamble says"
         )
         return found, valid, (Warn("rows-counted", message, "a lost row cannot be seen so: log time or a counter too"),)
-    text = {c.index: _plain(table.column(str(c.index)), dialect) for c in layout.times}
-    time, told = layout.time, tuple[Warn, ...]()
-    if layout.recorder is not None and _all_zero(text[time.index]):
-        time = layout.recorder
-        message = f"{path.name}: {layout.time.name!r} is zero in every row; {time.name!r} is used"
-        told = (Warn("zero-stamps", message, "let the driver fill in header.stamp"),)
-    column = text[time.index]
-    if dialect.first[time.index : time.index + 1] and DATE.fullmatch(dialect.first[time.index]):
-        found, valid = stamps.from_dates(stamps.parse_dates(column, path))
+    if layout.time.unit in WRITTEN:
+        column, *day = (table.column(str(c.index)) for c in (layout.time, layout.date) if c)
+        column = pc.binary_join_element_wise(day[0], column, " ") if day else column
+        found, valid = parse(path, layout.time.name, column, day_first=day_first)
+        time, told = layout.time, tuple[Warn, ...]()
     else:
-        unit = time.unit
-        if unit not in stamps.DIGITS:
-            rows = imu_rows if np.any(imu_rows) else ~imu_rows
-            unit, guessed = stamps.guess_unit(_floats(column)[rows], imu=bool(np.any(imu_rows)), path=path)
-            told += guessed
-        found, valid = stamps.from_text(column, unit, path)
-        if layout.seconds is not None and time is layout.time and int(np.max(found, initial=0)) < 1_000_000_000:
-            whole, known = stamps.from_text(text[layout.seconds.index], "s", path)
-            found, valid = found + whole, valid + 0.0 * known
-        told += _rounded(path, column, found[~np.isnan(valid)], 10 ** stamps.DIGITS[unit])
-    if np.all(np.isnan(valid)):
-        first = next((cell for cell in column.to_pylist() if cell), None)
-        seen = "" if first is None else f" (the first cell is {str(first)[:40]!r})"
+        time, column, found, valid, told = _numbers(path, dialect, layout, table, imu_rows)
+    wrong = pc.filter(column, pa.array(np.isnan(valid) & np.asarray(pc.is_valid(column), dtype=np.bool_)))
+    if np.all(np.isnan(valid)) or (len(wrong) > MAX_BAD_SHARE * valid.size and len(wrong) > 1):
+        first = f" in {len(wrong)} of {valid.size} rows, the first: {wrong[0].as_py()[:40]!r}" if len(wrong) else ""
         hint = f'write a number or ISO 8601, or map another one: --columns "NAME=time [s]"; {COUNT_HINT}'
-        raise AttestError(f"{path}: the time column {time.name!r} holds no readable time{seen}", hint)
+        raise AttestError(f"{path}: the time column {time.name!r} holds no readable time{first}", hint)
     return found, valid, told
 
 
-def _plain(column: pa.ChunkedArray, dialect: Dialect) -> pa.ChunkedArray:
-    return pc.replace_substring(column, ",", ".") if dialect.decimal == "," else column
+def _numbers(
+    path: Path, dialect: Dialect, layout: Layout, table: pa.Table, imu_rows: Bools
+) -> tuple[Column, pa.ChunkedArray, Ints, Array, tuple[Warn, ...]]:
+    """Read times that are numbers; return the column they stand in, and its text, too."""
+    text, told = {}, tuple[Warn, ...]()
+    for c in layout.times:
+        text[c.index], grouped = plain(table.column(str(c.index)), dialect.decimal)
+        told += told_grouped(path, c.name, grouped)
+    time = layout.time
+    if layout.recorder is not None and _all_zero(text[time.index]):
+        time = layout.recorder
+        message = f"{path.name}: {layout.time.name!r} is zero in every row; {time.name!r} is used"
+        told += (Warn("zero-stamps", message, "let the driver fill in header.stamp"),)
+    column, unit = text[time.index], time.unit
+    if unit not in stamps.DIGITS:
+        rows = imu_rows if np.any(imu_rows) else ~imu_rows
+        values = _floats(column)
+        days = stamps.in_days(values[rows], unit, imu=bool(np.any(imu_rows)), path=path)
+        if days is not None:
+            factor, since, guessed = days
+            return time, column, *stamps.from_days(values * factor, since), (*told, *guessed)
+        unit, guessed = stamps.guess_unit(values[rows], imu=bool(np.any(imu_rows)), path=path)
+        told += guessed
+    found, valid = stamps.from_text(column, unit, path)
+    if layout.seconds is not None and time is layout.time and int(np.max(found, initial=0)) < 1_000_000_000:
+        whole, known = stamps.from_text(text[layout.seconds.index], "s", path)
+        found, valid = found + whole, valid + 0.0 * known
+    told += _rounded(path, column, found[~np.isnan(valid)], 10 ** stamps.DIGITS[unit])
+    return time, column, found, valid, told
 
 
 def _floats(column: pa.ChunkedArray) -> Array:

@@ -33,7 +33,7 @@ SENSOR_NAMES = {
     "height": "height",
 }
 POSITIONS = {"gps", "gps_velocity", "position"}
-HEADING_SENSORS = {"compass", "orientation"}
+HEADING_SENSORS = {"compass", "orientation", "sun"}
 BY_NIS = {"smaller": "are better than", "fits": "fit", "larger": "are worse than"}
 
 
@@ -304,11 +304,12 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
 def _lasting_check(role: str, found: Innovations, dof: int) -> list[dict[str, Any]]:
     """Say where a sensor's error lasts from reading to reading: the smoother takes them for independent."""
     square, sums = lasting(found.z[(found.role == role) & found.used, :dof])
-    if noise_status(square, sums, dof) == "PASS":
+    status = noise_status(square, sums, dof, few=1)
+    if status == "PASS":
         return []
     fact = f"{role.capitalize()} errors last: its readings are not independent"
     detail = f"ten together are off by {np.sqrt(square / dof):.1f} sigma; state a wider sigma_deg under [{role}]"
-    return [_check(f"lasting-{role}", False, fact, detail, fatal=noise_status(square, sums, dof) == "FAIL")]
+    return [_check(f"lasting-{role}", False, fact, detail, fatal=status == "FAIL")]
 
 
 def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -34,6 +34,9 @@ class Table(Section):
     time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
         None, description="of the time column; none: from its name, else from its steps"
     )
+    day_first: bool | None = Field(
+        None, description="in dates such as 01/06/2026 the day comes first; none: where a number above 12 tells it"
+    )
     sample_rate_hz: Frequency | None = Field(
         None, description="rows per second where a counter, or nothing, stands for time; none: from the preamble"
     )

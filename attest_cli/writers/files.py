@@ -40,7 +40,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     except OSError as error:
         hint = "make its folder first" if isinstance(error, FileNotFoundError) else "is there room, and is it yours?"
-        raise AttestError(f"{path}: cannot be written: {error.strerror or error}", hint) from None
+        why = os.strerror(error.errno) if error.errno else error
+        raise AttestError(f"{path}: cannot be written: {why}", hint) from None
     finally:  # an interrupt leaves nothing behind either
         temporary.unlink(missing_ok=True)
 

@@ -21,6 +21,7 @@ from support.changes import (
     conjugated,
     covariances,
     cut,
+    dead,
     during,
     frozen,
     gravity_removed,
@@ -31,6 +32,7 @@ from support.changes import (
     late,
     lines,
     magnetic,
+    midway,
     outliers,
     put,
     renamed,
@@ -99,6 +101,9 @@ STAMPS: dict[str, Fault] = {
     "IMU at 10 Hz": Fault("bare", (), averaged(5), base=NO_HEADING, same_truth=False),
     "four of five rows left out": Fault(
         "bare", ("gyro-noise-refuted",), rows(lambda d: np.arange(len(d.t)) % 5 == 0), base=NO_HEADING),
+    "30 % of the rows lost": Fault(
+        "bare", (), rows(lambda d: np.random.default_rng(1).random(len(d.t)) > 0.3),
+        base=(*NO_HEADING, "imu-rows-missing", "position", "stop-advice"), needless=True),
     "negative stamps": Fault("sun", (), stamps(lambda _, ns: ns - 2 * ns[0])),
     "zero stamps in some rows": Fault(
         "bare", ("steps back", "zero"), stamps(lambda t, ns: np.where((t > 30) & (t < 31), 0, ns))),
@@ -144,6 +149,10 @@ VALUES: dict[str, Fault] = {
     "IMU frozen 0.5 s": Fault("sun", ("imu-stuck",), frozen(30.0, 30.5, *GYRO, *ACCEL)),
     "IMU frozen 10 s": Fault("sun", ("imu-stuck",), frozen(20.0, 30.0, *GYRO, *ACCEL)),
     "IMU frozen 10 s, no heading": Fault("bare", ("imu-stuck",), frozen(20.0, 30.0, *GYRO, *ACCEL)),
+    "gyro axis dead but for its noise": Fault("bare", ("gyro-bias", "gyro-noise-raised"), dead("gyro_z")),
+    "gyro axis dead but for its noise, compass": Fault(
+        "compass", ("gyro-bias", "gyro-noise-raised"), dead("gyro_x")),
+    "gyro axis dead but for its noise, walk": Fault("walk", ("gyro-noise-raised",), dead("gyro_z", 0.005)),
     "gyro drops to zero for 3 s": Fault("bare", ("imu-stuck",), during(30.0, 33.0, GYRO, 0.0)),
     "gyro saturates": Fault(
         "hand", ("gyro-clipped",), clipped(1.8, *GYRO)),
@@ -167,6 +176,12 @@ UNITS: dict[str, Fault] = {
     "gyro in deg/s": Fault("bare", ("unit-contradicted", "deg/s"), scaled(57.29578, *GYRO)),
     "gyro in deg/s on the level": Fault("level", ("unit-doubted",), scaled(57.29578, *GYRO)),
     "gyro in deg/s, sun": Fault("sun", ("unit-contradicted", "deg/s"), scaled(57.29578, *GYRO)),
+    "gyro in deg/s from the middle on": Fault("bare", ("unit changes",), midway(57.29578, *GYRO)),
+    "gyro in deg/s from the middle on, walk": Fault("walk", ("unit changes",), midway(57.29578, *GYRO)),
+    "gyro in deg/s from the middle on, level": Fault("level", ("unit changes",), midway(57.29578, *GYRO)),
+    "gyro in deg/s from the middle on, hand": Fault("hand", ("unit changes",), midway(57.29578, *GYRO)),
+    "gyro in deg/s up to the middle, walk": Fault(
+        "walk", ("unit changes",), chain(scaled(57.29578, *GYRO), midway(0.01745329, *GYRO))),
     "gyro in deg/s, header says nothing": Fault(
         "bare", ("unit-guessed",), scaled(57.29578, *GYRO), text(lambda c: c.replace("gyro_", "g", 3))),
     "gyro stated deg/s, is rad/s": Fault(
@@ -186,8 +201,16 @@ UNITS: dict[str, Fault] = {
     "gyro scale 5 %": Fault("sun", ("gyro-noise-raised", "gyro-scale", "separation"), scaled(1.05, *GYRO)),
     "gyro scale 5 %, no heading": Fault(
         "bare", ("gyro-noise-raised", "gyro-scale", "separation"), scaled(1.05, *GYRO)),
+    "gyro scale 2 %": Fault("sun", (), scaled(1.02, *GYRO)),
+    "gyro scale -2 %, compass": Fault("compass", (), scaled(0.98, *GYRO)),
+    "gyro scale 3 %, no heading": Fault("bare", (), scaled(1.03, *GYRO)),
     "gyro z scale 5 %, hand": Fault("hand", ("gyro-scale",),
                                     scaled(1.05, *GYRO)),
+    "accelerometer x in g": Fault("bare", ("accel-scale",), scaled(1 / G, "accel_x")),
+    "accelerometer y in g, sun": Fault("sun", ("accel-scale",), scaled(1 / G, "accel_y")),
+    "accelerometer bias of 0.5 m/s^2": Fault("bare", ("accel-bias",), added(0.5, "accel_x")),
+    "accelerometer bias of 0.5 m/s^2, sun": Fault("sun", ("accel-bias",), added(0.5, "accel_x")),
+    "accelerometer bias of 0.3 m/s^2, walk": Fault("walk", ("accel-bias",), added(0.3, "accel_x")),
     "gyro bias of 3 deg/s": Fault("sun", (), added(0.05, *GYRO)),
     "gyro bias of 10 deg/s": Fault("sun", ("gyro-bias",), added(0.17, *GYRO)),
     "gyro bias jumps 0.5 deg/s amid the drive": Fault(
@@ -208,6 +231,8 @@ AXES: dict[str, Fault] = {
     "gyro z reversed, sun": Fault("sun", ("gyro-against-accel", "gyro"), scaled(-1.0, "gyro_z")),
     "gyro z reversed, compass": Fault("compass", ("gyro-against-accel", "gyro"), scaled(-1.0, "gyro_z")),
     "gyro z reversed, hand": Fault("hand", ("gyro-against-accel",), scaled(-1.0, "gyro_z")),
+    "gyro z reversed, walk": Fault(
+        "walk", ("gyro-against-accel", "gyro-noise-raised", "rejected-gravity"), scaled(-1.0, "gyro_z")),
     "gyro z reversed, GPS": Fault("gps", ("gyro-against-accel", "gps"), scaled(-1.0, "gyro_z")),
     "gyro x and y swapped": Fault("bare", ("gyro-against-accel",), swapped("gyro_x", "gyro_y")),
     "gyro x and z swapped": Fault("bare", ("gyro-against-accel",), swapped("gyro_x", "gyro_z")),
@@ -235,6 +260,10 @@ SUNS: dict[str, Fault] = {
     "sun repeats twice": Fault("sun always", (), stale(2, *SUN)),
     "sun zero vectors": Fault("sun", ("sun-dropped",), lambda d: put(d, SUN, np.arange(len(d.t)) % 100 == 0, 0.0)),
     "sun not unit": Fault("sun", ("sun-not-unit", "rejected-sun", "innovations-sun"), scaled(0.8, *SUN)),
+    "sun x a tenth short": Fault(
+        "sun", ("lasting-sun", "rejected-sun", "innovations-sun"), scaled(0.9, "sun_x")),
+    "sun x a tenth short, always": Fault(
+        "sun always", ("lasting-sun", "rejected-sun", "innovations-sun"), scaled(0.9, "sun_x")),
     "sun in millivolt": Fault("sun", ("sun-not-unit",), scaled(1000.0, *SUN)),
     "sun reference tilted 30 deg": Fault("sun", ("rejected-sun", "innovations-sun"), sun_field(30.0)),
     "sun reference below the horizon": Fault("sun", ("sun-not-used", "rejected-sun"), sun_field(-60.0)),

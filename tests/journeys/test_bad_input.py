@@ -134,6 +134,20 @@ def test_a_cut_file_is_refused_or_said_to_be_cut(
     assert [path.name for path in folder.iterdir()] == [log.name]
 
 
+def test_every_command_ends_with_3_where_data_is_lost(samples: Path, folder: Path, attest: Callable[..., Any]) -> None:
+    whole = (samples / "rover.mcap").read_bytes()
+    log = text("log.mcap", whole[: len(whole) // 2], folder)
+    for words in (
+        ["smooth", "--dry-run"], ["smooth", "--dry-run", "--json"], ["info"], ["info", "--json"], ["doctor"],
+        ["convert", "-o", folder / "log.csv"], ["convert", "--json", "-o", folder / "log.parquet"],
+        ["init", "-o", folder / "attest.toml"], ["segment", "-o", folder / "segments"],
+    ):  # fmt: skip
+        assert attest(words[0], log, *words[1:]).code == 3, words
+    undamaged = ["smooth", samples / "rover.mcap", "--dry-run"]
+    assert (attest(*undamaged).code, attest(*undamaged, "--strict").code) == (0, 0)
+    assert attest("smooth", samples / "rover.csv", "--dry-run", "--strict").code == 0
+
+
 def nan_cells(d: Drive) -> Drive:
     value = d.columns["gyro_y"].copy()
     value[200:900:100] = np.nan

@@ -61,6 +61,21 @@ def frozen(start: float, end: float, *names: str) -> Change:
     return change
 
 
+def midway(factor: float, *names: str, share: float = 0.5) -> Change:
+    """Another unit from half of the drive on."""
+    return lambda d: d.changed(**{n: np.where(d.t > share * d.t[-1], factor, 1.0) * d.columns[n] for n in names})
+
+
+def dead(name: str, noise: float = 1e-3, share: float = 0.45) -> Change:
+    """An axis of which from some time on nothing but noise is left."""
+
+    def change(d: Drive) -> Drive:
+        left = np.random.default_rng(1).normal(0.0, noise, len(d.t))
+        return d.changed(**{name: np.where(d.t > share * d.t[-1], left, d.columns[name])})
+
+    return change
+
+
 def stale(every: int, *names: str) -> Change:
     """Repeat each measurement so many times."""
 

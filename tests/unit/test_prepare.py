@@ -11,7 +11,7 @@ import pytest
 
 from attest_cli.errors import AttestError
 from attest_cli.prepare import prepare
-from attest_cli.records import COLUMNS, Array, Channel, Ints, Log, Recording
+from attest_cli.records import COLUMNS, Array, Channel, Ints, Log, Recording, Warn
 from attest_cli.settings import Settings
 
 T0 = 1_780_308_000_000_000_123
@@ -73,6 +73,37 @@ def test_a_clean_log_comes_through_untouched_and_without_a_warning() -> None:
     assert log.warnings == ()
     assert log.gaps.shape == (0, 2)
     assert log.history == ("imu: /imu/data (sensor_msgs/msg/Imu), 1000 of 1000",)
+
+
+@pytest.mark.parametrize(
+    ("role", "columns"),
+    [("sun", 3), ("magnetometer", 3), ("compass", 1), ("orientation", 4), ("odometry", 3), ("gps", 3), ("position", 3),
+     ("height", 1), ("temperature", 1), ("gps_velocity", 3)],
+)  # fmt: skip
+@pytest.mark.parametrize("value", [1e300, -1e20, np.inf, np.nan])
+def test_damaged_numbers_of_a_sensor_are_left_out_in_one_line(role: str, columns: int, value: float) -> None:
+    rng = np.random.default_rng(3)
+    table = 0.5 + rng.normal(0.0, 0.01, (200, columns))
+    table[50:60, -1] = value
+    log = log_of(
+        imu(), fixes(role, np.arange(200) * 0.05, table), map={"orientation": "/orientation"} if columns == 4 else {}
+    )
+    told = [warning for warning in log.warnings if role in warning.code]
+    if role in {"gps", "position", "odometry", "gps_velocity"}:  # the other axes are measured
+        assert [w.code for w in told if w.code != "gps-coarse"] == (
+            [f"{role}-out-of-range"] if abs(value) > 1e12 else []
+        )
+    else:
+        assert [w.code for w in told] == [f"{role}-dropped"]
+        assert told[0].message.startswith(f"10 of 200 measurements of /{role}")
+    assert not np.any(np.abs(log.fixes[role].values) > 1e12)
+
+
+def test_a_sigma_that_is_blank_in_every_row_is_none() -> None:
+    column = {"latitude": np.full(100, 46.5), "longitude": np.full(100, 6.6), "gps_sigma_m": np.full(100, np.nan)}
+    column["longitude"] = 6.6 + np.arange(100) * 1e-5
+    channel = Channel("/gps", "columns", "gps", T0 + np.arange(100) * 100_000_000, column, {})
+    assert log_of(imu(), channel).fixes["gps"].sigma is None
 
 
 class TestSpikes:
@@ -516,3 +547,13 @@ def test_warnings_of_the_readers_come_first() -> None:
 
     told = Recording(Path("log.csv"), "csv", (imu(),), 1000, {}, (Warn("text-cells", "one"),))
     assert codes(prepare([told], Settings())) == ["text-cells"]
+
+
+def test_a_renamed_column_is_missing_only_where_no_file_has_it() -> None:
+    def told(name: str, *columns: str) -> Recording:
+        warnings = tuple(Warn("no-such-column", f"{name}: no column '{c}' to be 'gyro_x'") for c in columns)
+        channel = imu(name=name, start_ns=T0 if name == "a.csv" else T0 + 10_000_000_000)
+        return replace(recording(replace(channel, name="/imu/data"), name=name), warnings=warnings)
+
+    log = prepare([told("a.csv", "wx", "wz"), told("b.csv", "wy", "wz")], Settings())
+    assert [w.message.partition(": ")[2] for w in log.warnings] == ["no column 'wz' to be 'gyro_x'"] * 2

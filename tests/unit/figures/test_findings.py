@@ -131,7 +131,7 @@ def test_the_page_of_a_sensor_and_the_report_say_the_same(factor, rejected):
     rng, n = np.random.default_rng(7), 400
     used = np.arange(n) >= rejected
     nis = np.where(used, factor * rng.chisquare(2, n), 40.0)
-    z = np.sqrt(nis / 2)[:, None] * np.ones(2)
+    z = np.sqrt(nis / 2)[:, None] * rng.choice([-1.0, 1.0], (n, 1)) * np.ones(2)  # errors that do not last
     page = innovations.status(innovations.Found("sun", z, nis, used, np.ones(n, dtype=int), 2))
     role, t = np.full(n, "sun"), np.arange(float(n))
     checks = _innovation_checks(

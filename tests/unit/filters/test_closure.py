@@ -9,8 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from support.drives import Job, simulated
 
+from attest_cli.filters import Drive
 from attest_cli.filters.closure import doubts
 from attest_cli.maths.axes import signed_permutations
+from attest_cli.records import Log, Warn
 from attest_cli.simulate import RoverOptions
 
 Array = NDArray[np.float64]
@@ -22,9 +24,13 @@ def job() -> Job:
     return simulated(OPTIONS)
 
 
+def drive(job: Job, log: Log) -> Drive:
+    return Drive(log, job.segmentation, job.world, job.noise, job.settings)
+
+
 def told(job: Job, axes: Array, *, raised: bool = True) -> list[str]:
     log = replace(job.log, imu=replace(job.log.imu, gyro_b=job.log.imu.gyro_b @ axes))
-    return [w.message for w in doubts(log, job.segmentation, raised=raised)]
+    return [w.message for w in doubts(drive(job, log), raised=raised)]
 
 
 def test_a_sound_gyro_closes(job: Job) -> None:
@@ -49,4 +55,48 @@ def test_without_a_doubt_a_small_opening_is_left_alone(job: Job) -> None:
 def test_one_motion_tells_nothing(job: Job) -> None:
     two = replace(job.segmentation, segments=job.segmentation.segments[:3])
     log = replace(job.log, imu=replace(job.log.imu, gyro_b=-job.log.imu.gyro_b))
-    assert doubts(log, two, raised=True) == []
+    assert doubts(replace(drive(job, log), segmentation=two), raised=True) == []
+
+
+def of_accelerometer(job: Job, factor: Array, bias: Array, *warnings: Warn) -> list[Warn]:
+    imu = replace(job.log.imu, accel_b=job.log.imu.accel_b * factor + bias)
+    return doubts(drive(job, replace(job.log, imu=imu, warnings=warnings)), raised=True)
+
+
+def test_a_bias_of_the_accelerometer_is_told_with_its_size(job: Job) -> None:
+    (told,) = of_accelerometer(job, np.ones(3), np.array([0.4, 0.0, 0.0]))
+    found = np.array([float(x) for x in told.message.split("bias of ")[1].removesuffix(" m/s^2").split(", ")])
+    assert (told.code, told.fatal) == ("accel-bias", True)
+    assert np.abs(found - [0.4, 0.0, 0.0]).max() < 0.1
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_axis_of_the_accelerometer_in_another_unit_is_told(job: Job, axis: int) -> None:
+    (told,) = of_accelerometer(job, np.where(np.arange(3) == axis, 1 / 9.80665, 1.0), np.zeros(3))
+    assert (told.code, told.fatal) == ("accel-scale", True)
+    assert f"accelerometer's {'xyz'[axis]} axis" in told.message
+
+
+def test_gravity_of_another_size_is_the_accelerometers(job: Job) -> None:
+    late = np.linspace(0.0, 0.1, len(job.log.imu.t))[:, None]  # along gravity it tilts nothing
+    (told,) = of_accelerometer(job, np.ones(3), late * [0.0, 0.0, 1.0])
+    assert (told.code, told.fatal) == ("accel-bias", True)
+    assert "gravity changes by 0.0" in told.message
+
+
+def test_lost_rows_are_not_taken_for_another_cause(job: Job) -> None:
+    lost = Warn("imu-rows-missing", "30 % of the rows are missing")
+    assert of_accelerometer(job, np.ones(3), np.array([0.4, 0.0, 0.0]), lost) == []
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.01])
+def test_a_rest_that_contradicts_the_bias_is_held_against_gravity(job: Job, moved: float) -> None:
+    last = job.segmentation.segments[-2:]
+    gone = replace(last[0], end=last[1].end, last=last[1].last)  # the last stop, taken as motion
+    doubted = replace(
+        job.segmentation, segments=(*job.segmentation.segments[:-2], gone), warnings=(Warn("stop-bias", "doubted"),)
+    )
+    late = (job.log.imu.t > last[0].start)[:, None]
+    log = replace(job.log, imu=replace(job.log.imu, gyro_b=job.log.imu.gyro_b + moved * late * [1.0, 0.0, 0.0]))
+    told = doubts(replace(drive(job, log), segmentation=doubted), raised=False)
+    assert [(w.code, w.fatal) for w in told] == ([("gyro-bias", True)] if moved else [])

@@ -43,7 +43,19 @@ def test_a_normalised_one_has_no_size(job: Job) -> None:
     fixes = job.log.fixes["magnetometer"]
     sizes = np.linalg.norm(fixes.values, axis=1, keepdims=True)
     values = 5e-5 * fixes.values / sizes
-    assert field_doubts(replace(fixes, values=values), job.log, job.segmentation, job.world)[1] == []
+    iron, told = field_doubts(replace(fixes, values=values), job.log, job.segmentation, job.world)
+    assert (iron, [w.code for w in told]) == (0.0, ["magnetometer-normalised"])
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(0.0, []), (1.0, []), (15.0, ["magnetometer-disturbed"])])
+def test_a_field_that_is_another_for_a_while_is_told_with_its_time(job: Job, seconds: float, said: list[str]) -> None:
+    fixes = job.log.fixes["magnetometer"]
+    near = (fixes.t > 30.0) & (fixes.t < 30.0 + seconds)
+    values = np.where(near[:, None], 1.17 * fixes.values, fixes.values)
+    _, told = field_doubts(replace(fixes, values=values), job.log, job.segmentation, job.world)
+    assert [w.code for w in told] == said
+    assert all("% off its usual size" in w.message for w in told)
+    assert all("from 30." in w.message and "to 4" in w.message for w in told)
 
 
 @pytest.mark.parametrize(

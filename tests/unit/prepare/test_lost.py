@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from attest_cli.prepare.clock import in_order
 from attest_cli.prepare.lost import bridged, missing, without_sentinels
 
 
@@ -47,6 +49,24 @@ def test_the_share_of_lost_samples_is_that_taken_away(rng: np.random.Generator) 
         keep = rng.random(len(stamps_ns)) > share
         assert abs(missing(stamps_ns[keep], 0.5) - share) < 0.02
     assert missing(np.delete(stamps_ns, np.r_[500:900]), 0.5) == 0.0  # a gap
+
+
+@pytest.mark.parametrize("tick_ms", [1.0, 4.0, 10.0, 15.625])
+@pytest.mark.parametrize("rate", [50, 104, 200, 333, 416])
+def test_stamps_rounded_to_ticks_have_lost_nothing(rate: int, tick_ms: float, rng: np.random.Generator) -> None:
+    for jitter in (0.0, 0.3):
+        t = np.sort(np.arange(3000) / rate + rng.normal(0.0, jitter / rate, 3000))
+        for rounded in (np.round, np.floor):
+            stamps_ns = np.rint(rounded(t * 1e3 / tick_ms) * tick_ms * 1e6).astype(np.int64)
+            found = in_order("log", stamps_ns, rng.normal(size=(3000, 1)), 0)
+            assert missing(found.stamps_ns, 0.5) < 0.01
+
+
+@pytest.mark.parametrize(("rate", "tick_ms"), [(104, 1.0), (119, 1.0), (208, 1.0), (256, 2.0), (100, 10.0)])
+def test_samples_lost_between_ticks_are_seen(rate: int, tick_ms: float, rng: np.random.Generator) -> None:
+    t = np.arange(12_000)[rng.random(12_000) > 0.05] / rate
+    stamps_ns = np.rint(np.round(t * 1e3 / tick_ms) * tick_ms * 1e6).astype(np.int64)
+    assert 0.015 < missing(stamps_ns, 0.5) < 0.06
 
 
 def test_a_clock_that_is_late_has_lost_nothing(rng: np.random.Generator) -> None:

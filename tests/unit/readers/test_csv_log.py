@@ -210,3 +210,84 @@ def test_a_missing_file_a_folder_and_a_misnamed_one_are_refused(tmp_path: Path) 
     (tmp_path / "log.mcap").write_text("timestamp")
     with pytest.raises(AttestError, match="not MCAP"):
         read(tmp_path / "log.mcap", Settings())
+
+
+def test_the_first_cells_of_a_time_may_be_blank(load: Load) -> None:
+    lines = "\n".join(f"{f'10:00:00.{k:03d}' if k > 2 else ''},1,2,3,0,0,9.8" for k in range(400))
+    recording = load(f"time,{SENSORS}\n{lines}")
+    assert only(recording)[0][0] == 36_000_003_000_000
+    assert [w.code for w in recording.warnings] == ["rows-without-time"]
+
+
+SENSORS = "gx,gy,gz,ax,ay,az"
+
+
+@pytest.mark.parametrize(
+    ("header", "cell", "says"),
+    [
+        ("Date,Time", "2026-06-01,10:00:{s:06.3f}", "as date and time"),
+        ("Date,Time", "01.06.2026,10:00:{s:06.3f} AM", "as date and time"),
+        ("time [s]", "10:00:{s:06.3f}", "as time of day"),
+        ("time", "01.06.2026 10:00:{s:06.3f}", "as date and time"),
+    ],
+)
+def test_dates_and_times_stand_in_one_or_two_columns(load: Load, header: str, cell: str, says: str) -> None:
+    lines = "\n".join(f"{cell.format(s=k * 0.01)},1,2,3,0,0,9.8" for k in range(5))
+    recording = load(f"{header},{SENSORS}\n{lines}")
+    noon = 36_000_000_000_000 if "day" in says else 1_780_308_000_000_000_000
+    assert only(recording)[0] == [noon + k * 10_000_000 for k in range(5)]
+    assert any(says in note for note in recording.notes)
+    assert not recording.warnings
+
+
+@pytest.mark.parametrize(
+    ("separator", "cells", "value"),
+    [
+        (",", ['"1,234.500"', '"-1,234.5"'], 1234.5),
+        (",", ["1'234.500", "-1'234.5"], 1234.5),
+        (";", ["1 234,500", "-1 234,5"], 1234.5),
+        (";", ["1\u202f234,500", "-1\u202f234,5"], 1234.5),
+        (";", ["1.234,500", "-1.234,5"], 1234.5),
+        (";", ["1,234,567.25", "-1,234,567.25"], 1234567.25),
+    ],
+)
+def test_thousands_may_be_set_apart(load: Load, separator: str, cells: list[str], value: float) -> None:
+    mark = "," if cells[1].endswith(",5") else "."
+    rest = separator.join(f"0{mark}5" for _ in range(5))
+    lines = "\n".join(separator.join([f"{k}{mark}5", cells[k % 2], rest]) for k in range(4))
+    recording = load(separator.join(["t", *SENSORS.split(",")]) + "\n" + lines)
+    assert only(recording)[1]["gyro_x"] == [value, -value] * 2
+    assert [(w.code, "'gx'" in w.message) for w in recording.warnings] == [("thousands-separators", True)]
+    in_time = "\n".join(separator.join([cells[0], *[f"0{mark}5"] * 6]) for _ in range(4))
+    recording = load(separator.join(["t [ms]", *SENSORS.split(",")]) + "\n" + in_time)
+    assert only(recording)[0][0] == round(value * 1_000_000)
+
+
+def test_thousands_or_decimal_comma_is_refused_unless_said(load: Load, tmp_path: Path) -> None:
+    text = f"t [ms],{SENSORS}\n" + "\n".join(f'{10 * k},"9,811",12,3,1,2,7' for k in range(5))
+    with pytest.raises(AttestError, match=r"thousands\? '9,811' can be read in two ways; .*decimal"):
+        load(text)
+    for mark, value in ((".", 9811.0), (",", 9.811)):
+        settings = Settings.model_validate({"table": {"decimal": mark}})
+        assert only(read(tmp_path / "log.csv", settings))[1]["gyro_x"][0] == value
+
+
+def test_a_time_column_with_text_in_many_rows_is_refused(load: Load) -> None:
+    lines = "\n".join(f"{'late' if k > 50 else k * 0.01},1,2,3,0,0,9.8" for k in range(100))
+    with pytest.raises(AttestError, match="no readable time in 49 of 100 rows, the first: 'late'"):
+        load(f"t,{SENSORS}\n{lines}")
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("min", 60.0), ("hours", 3600.0), ("days", 86400.0)])
+def test_long_units_of_time_are_read(load: Load, unit: str, seconds: float) -> None:
+    lines = "\n".join(f"{k * 0.01 / seconds!r},1,2,3,0,0,9.8" for k in range(100))
+    recording = load(f"time [{unit}],{SENSORS}\n{lines}")
+    assert np.abs(np.array(only(recording)[0]) - np.arange(100) * 10_000_000).max() <= 1
+    assert not recording.warnings
+
+
+def test_the_days_of_a_spreadsheet_are_told(load: Load) -> None:
+    lines = "\n".join(f"{46174.4166666667 + k * 0.01 / 86400:.10f},1,2,3,0,0,9.8" for k in range(300))
+    recording = load(f"time,{SENSORS}\n{lines}")
+    assert abs(only(recording)[0][0] - 1_780_308_000_000_000_000) < 10_000
+    assert ["counts days" in w.message and "2026-06-01 at 10:00" in w.message for w in recording.warnings] == [True]

@@ -168,3 +168,17 @@ def test_settings_of_text_are_said_to_do_nothing(tmp_path: Path) -> None:
     path = foreign(tmp_path / "log.parquet")
     names = {"when": "t [ms]", **dict(zip("abcdef", IMU, strict=True))}
     assert [w.code for w in read(path, settings(names=names, decimal=",")).warnings] == ["no-text-log"]
+
+
+def test_times_of_day_are_read_with_their_date(tmp_path: Path) -> None:
+    clock = pa.array(np.arange(50) * 10_000 + 36_000_000_000, pa.time64("us"))
+    text = pa.array([f"10:00:00.{k:02d}" for k in range(50)])
+    day = pa.array(["2026-06-01"] * 50).cast(pa.date32())
+    for time in (clock, text):
+        for more, first in (({}, 36_000_000_000_000), ({"date": day}, 1_780_308_000_000_000_000)):
+            stamps_ns = load(tmp_path / "log.parquet", time, **more).channels[0].stamps_ns
+            assert stamps_ns.tolist() == [first + k * 10_000_000 for k in range(50)]
+    days = 46174.4166666667 + np.arange(50) * 0.01 / 86_400
+    recording = load(tmp_path / "log.parquet", days)
+    assert abs(int(recording.channels[0].stamps_ns[0]) - 1_780_308_000_000_000_000) < 10_000
+    assert [w.code for w in recording.warnings] == ["time-unit-guessed"]

@@ -56,18 +56,6 @@ def test_integers_are_scaled_exactly_and_floats_to_their_resolution() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("2026-06-01T10:00:00.000000001Z", 1_780_308_000_000_000_001),
-        ("2026-06-01T12:00:00+02:00", 1_780_308_000_000_000_000),
-        ("2026-06-01 10:00:00.5", 1_780_308_000_500_000_000),
-    ],
-)
-def test_dates_are_read_with_or_without_zone(text: str, expected: int) -> None:
-    assert stamps.from_dates(stamps.parse_dates(pa.chunked_array([[text]]), LOG))[0][0] == expected
-
-
-@pytest.mark.parametrize(
     ("raw", "unit"),
     [
         (np.arange(100) * 0.01, "s"),
@@ -121,3 +109,25 @@ def test_dates_beyond_the_range_are_no_stamps() -> None:
 def test_signs_alone_are_no_number(text: str) -> None:
     _, valid = stamps.from_text(pa.chunked_array([["1.5", text]]), "s", LOG)
     assert np.isnan(valid).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(("origin", "since"), [("1899-12-30", 25_569), ("0000-01-01", 719_529)])
+def test_days_of_a_spreadsheet_are_told_by_their_steps(origin: str, since: int) -> None:
+    expected = np.datetime64("2026-06-01T10:00:00", "ns").astype(np.int64) + np.arange(200) * 10_000_000
+    first = np.datetime64(origin, "D") - (origin[0] == "0")  # Matlab counts from 1
+    assert first + since == np.datetime64("1970-01-01")
+    raw = expected * 1e-9 / 86_400 + since
+    found = stamps.in_days(raw, "", imu=True, path=LOG)
+    assert found is not None
+    factor, back, told = found
+    assert (factor, back) == (1.0, since)
+    assert "2026-06-01 at 10:00:00" in told[0].message
+    stamps_ns, _ = stamps.from_days(raw, back)
+    assert np.abs(stamps_ns - expected).max() < 15_000  # the digits of a double
+
+
+def test_other_steps_count_no_days() -> None:
+    for raw in (np.arange(100) * 0.01, 1.7e9 + np.arange(100) * 0.005, np.arange(100) * 10.0, np.zeros(9)):
+        assert stamps.in_days(raw, "", imu=True, path=LOG) is None
+    assert stamps.in_days(46174.4 + np.arange(20) / 86_400, "", imu=False, path=LOG)[1] == 25_569
+    assert stamps.in_days(np.arange(9) * 0.01, "min", imu=True, path=LOG) == (60 / 86_400, 0, ())

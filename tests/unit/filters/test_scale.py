@@ -1,0 +1,87 @@
+"""The scale error of a gyro that a drive shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from support.drives import Job, simulated
+
+from attest_cli.filters import Drive, indirect
+from attest_cli.filters.scale import learn, mended
+from attest_cli.nodes import build_nodes
+from attest_cli.nodes.observations import observe
+from attest_cli.simulate import RoverOptions
+
+OPTIONS = RoverOptions(seed=3, duration_s=200.0, rate_hz=50.0, motions=4, stop_s=(8.0, 12.0), sun=True)
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return simulated(OPTIONS)
+
+
+def scaled(job: Job, factor: float) -> Drive:
+    log = replace(job.log, imu=replace(job.log.imu, gyro_b=factor * job.log.imu.gyro_b))
+    return Drive(log, job.segmentation, job.world, job.noise, job.settings)
+
+
+def found(drive: Drive, job: Job) -> tuple[float, float]:
+    observations, _ = observe(drive.log, drive.segmentation, drive.world, drive.noise, drive.settings)
+    nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, drive.settings, None)
+    return learn(nodes, indirect.run(nodes, job.start, gate_probability=1.0))
+
+
+@pytest.mark.parametrize("factor", [0.98, 0.99, 1.0, 1.01, 1.02])
+def test_a_scale_is_found_within_its_sigma(job: Job, factor: float) -> None:
+    error, sigma = found(scaled(job, factor), job)
+    assert sigma < 0.005
+    assert abs(error - (1.0 / factor - 1.0)) < 3.0 * sigma
+
+
+def test_its_estimate_is_that_of_the_likelihood(job: Job) -> None:
+    """The squared innovations of three runs, each with another scale, lie on a parabola with that minimum."""
+    error, sigma = found(scaled(job, 1.01), job)
+    totals = []
+    for step in (-2e-3, 0.0, 2e-3):
+        drive = scaled(job, 1.01 * (1.0 + step))
+        observations, _ = observe(drive.log, drive.segmentation, drive.world, drive.noise, drive.settings)
+        nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, drive.settings, None)
+        totals.append(float(indirect.run(nodes, job.start, gate_probability=1.0).innovations.nis.sum()))
+    curve = (totals[0] - 2.0 * totals[1] + totals[2]) / 2e-3**2
+    slope = (totals[2] - totals[0]) / 4e-3
+    assert sigma == pytest.approx((0.5 * curve) ** -0.5, rel=0.1)
+    assert error == pytest.approx(-slope / curve, rel=0.1)
+
+
+def test_what_is_sure_is_taken_out_and_told(job: Job) -> None:
+    drive = scaled(job, 1.02)
+    better, told = mended(drive, *found(drive, job))
+    assert better is not None
+    assert [w.code for w in told] == ["gyro-scale"]
+    again, sigma = found(better, job)
+    assert abs(again) < sigma
+
+
+def test_what_is_likely_counts_as_noise_and_what_is_neither_as_nothing(job: Job) -> None:
+    drive = scaled(job, 1.0)
+    better, told = mended(drive, 0.006, 0.002)
+    assert better is not None
+    assert (better.noise.gyro_scale, told) == (0.006, ())
+    assert mended(drive, 0.003, 0.002) == (None, ())
+    assert mended(drive, 0.3, 0.002) == (None, ())
+    assert mended(drive, 0.1, 0.03) == (None, ())
+
+
+def test_a_sound_drive_runs_once_and_as_before(job: Job) -> None:
+    drive = scaled(job, 1.0)
+    run = indirect.forward(drive)
+    assert run.noise == job.noise
+    assert run.warnings == ()
+
+
+def test_a_drive_with_a_scale_ends_as_sure_as_one_without(job: Job) -> None:
+    sound, faulty = (indirect.forward(scaled(job, factor)) for factor in (1.0, 1.02))
+    assert [w.code for w in faulty.warnings] == ["gyro-scale"]
+    nis = [f.run.innovations.nis[f.run.innovations.used].sum() for f in (sound, faulty)]
+    assert nis[1] == pytest.approx(nis[0], rel=0.1)
