@@ -28,6 +28,7 @@ class Stopped(BaseException):
 def main() -> None:
     """Run attest with the arguments of the process and leave with its exit code."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 6 x 6 blocks: a second BLAS thread only spins
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else each start reads the metadata of all packages
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop)
     if not sys.warnoptions:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import re
 import struct
-import zlib
 from typing import BinaryIO
 
 import lz4.frame
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Chunk
@@ -73,7 +73,7 @@ def unpack(body: bytes, offset: int) -> tuple[bytes, bool]:
         raise DamagedError(offset, f"a chunk that does not unpack ({error})", span) from None
     if len(data) != chunk.uncompressed_size:
         raise DamagedError(offset, f"a chunk that is not of the {chunk.uncompressed_size} bytes it states", span)
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+    if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
         raise DamagedError(offset, "a chunk with a wrong checksum", span)
     return data, bool(chunk.uncompressed_crc)
 

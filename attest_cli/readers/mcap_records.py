@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
@@ -121,7 +121,7 @@ class _Section:
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.stream, self.size = stream, size
         self.held = _Held()
-        self.crc: int | None = zlib.crc32(stream.read(len(MAGIC)))  # None: a part was passed over
+        self.crc: int | None = crc32(stream.read(len(MAGIC)))  # None: a part was passed over
         self.sure = True  # all that was read has a checksum of its own
         self.trusted = len(MAGIC)  # end of the last chunk that was whole
         self.tried = -1  # start of the last chunk
@@ -205,7 +205,7 @@ class _Section:
         """Return the checksum with these parts, if it is known."""
         crc = self.crc
         for part in parts:
-            crc = None if crc is None else zlib.crc32(part, crc)
+            crc = None if crc is None else crc32(part, crc)
         return crc
 
     def _check(self, body: bytes, offset: int) -> None:
@@ -317,7 +317,7 @@ def _skip(stream: BinaryIO, length: int, crc: int | None) -> int | None:
         block = stream.read(min(length, _BLOCK))
         if not block:
             break
-        crc = None if crc is None else zlib.crc32(block, crc)
+        crc = None if crc is None else crc32(block, crc)
         length -= len(block)
     return crc
 

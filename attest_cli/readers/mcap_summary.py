@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import io
 import struct
-import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -80,7 +80,7 @@ def _read(stream: BinaryIO, size: int) -> tuple[Summary, int, int]:
         raise UnsureError
     stream.seek(start)
     section = stream.read(at - start)
-    if crc and crc != zlib.crc32(footer[:-4], zlib.crc32(section)):
+    if crc and crc != crc32(footer[:-4], crc32(section)):
         raise UnsureError
     declared, chunks, statistics = b"", [], None
     try:

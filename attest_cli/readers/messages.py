@@ -57,7 +57,7 @@ def _sigma(*variances: Array) -> Array:
 
 
 def _blank(fields: Array, where: Bools) -> Array:
-    return np.where(where, np.nan, fields)
+    return np.where(where, np.nan, fields) if np.any(where) else fields
 
 
 def _imu(f: Array) -> Array:

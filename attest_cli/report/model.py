@@ -21,7 +21,7 @@ Number = Annotated[float | None, BeforeValidator(_known)]
 class Part(BaseModel):
     """A part of the report: frozen, nothing unnamed."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 class File(Part):

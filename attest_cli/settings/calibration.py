@@ -32,7 +32,7 @@ Matrix = tuple[Triple, Triple, Triple]
 class Part(BaseModel):
     """A part of the file: frozen, nothing unnamed."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 class SourceFile(Part):

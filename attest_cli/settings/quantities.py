@@ -133,4 +133,4 @@ LeverArm = Annotated[Vector | Literal["auto"], BeforeValidator(as_lever)]
 class Section(BaseModel):
     """One table of ``attest.toml``: frozen, and it knows its keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)

@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 SENSORS = "sun,magnetometer,odometry"
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what pip installs is compiled; this tree is from its second run on
 
 
 def run(command: list[str]) -> tuple[float, float]:
