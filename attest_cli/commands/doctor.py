@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ..settings import load_settings
 from .console import LOST, OK, Console
 from .options import (
     OUTPUT,
@@ -72,8 +71,10 @@ def run(
     logs: Sequence[Path], config: Path | None, overrides: Mapping[str, Any], console: Console, *, strict: bool
 ) -> int:
     """Print one row per check, below it what mends it, and count them."""
-    effective = load_settings(config, logs[0], overrides)
     from ..diagnose import FAULT, WARNING, diagnose
+    from ..settings import load_settings
+
+    effective = load_settings(config, logs[0], overrides)
 
     with console.working() as progress:
         found = diagnose(logs, effective, progress)

@@ -20,7 +20,7 @@ STALE_RUN = 3
 GPS_SIGMA_M = 3.0  # where nothing is stated
 LARGEST = 1e12  # a raw value beyond this is a damaged number
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
-DRIVING_M_S, SIDEWAYS = 0.1, 3.0
+DRIVING_M_S, SIDEWAYS, NOISY = 0.1, 3.0, 6.0
 CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})
 
 
@@ -188,7 +188,8 @@ def _odometry(channel: Channel, settings: Settings, warnings: list[Warn]) -> Val
     values = np.full((channel.stamps_ns.size, 3), np.nan)
     values[:, : len(names)] = _columns(channel, names, "m/s")
     forward, aside = (np.abs(values[:, k][np.isfinite(values[:, :2]).all(axis=1)]) for k in (0, 1))
-    driving = forward + aside > DRIVING_M_S
+    noise = sum(float(np.median(np.abs(np.diff(speed)))) for speed in (forward, aside)) if forward.size > 1 else 0.0
+    driving = forward + aside > max(DRIVING_M_S, NOISY * noise)
     if driving.any() and np.median(aside[driving]) > SIDEWAYS * np.median(forward[driving]):
         message = f"channel {channel.name}: the odometry moves sideways, hardly forward"
         warnings.append(Warn("odometry-sideways", message, "velocity_x is forward: are the axes those of the body?"))

@@ -28,6 +28,7 @@ NODE = 20
 """IMU samples from one update with gravity (filterpy) or one node (gtsam) to the next: 10 Hz at 200 Hz."""
 GYRO_DENSITY, BIAS_WALK, TILT_SIGMA = 1.5e-4, 5e-6, 0.05
 FIRST_STOP_S = 5.0
+COVARIANCES = ("orientation", "angular_velocity", "linear_acceleration", "magnetic_field")
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,33 @@ def filterpy(log: Drive) -> Callable[[], Array]:
     return work
 
 
+def simdkalman(log: Drive) -> Callable[[], Array]:
+    """Kalman filter and smoother of simdkalman, whose matrices are the same at all times: six states as filterpy's, but
+    of a bias that stays in the world.
+    """
+    lib = import_module("simdkalman")
+    turned = import_module("scipy.spatial.transform").Rotation.from_rotvec
+
+    def work() -> Array:
+        still, walk = int(FIRST_STOP_S / log.dt), np.array([GYRO_DENSITY] * 3 + [BIAS_WALK] * 3)
+        steps = turned((log.gyro - log.gyro[:still].mean(axis=0)) * log.dt).as_matrix()
+        nominal = np.empty((len(log.t), 3, 3))
+        nominal[0] = levelled(log.accel[:still].mean(axis=0))
+        for k in range(1, len(nominal)):
+            nominal[k] = nominal[k - 1] @ steps[k - 1]
+        transition = np.eye(6)
+        transition[:3, 3:] = -np.eye(3) * log.dt
+        seen = GRAVITY * np.array([[0, -1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]], dtype=float)
+        filter_ = lib.KalmanFilter(transition, np.diag(walk**2) * log.dt, seen, np.eye(3) * (GRAVITY * TILT_SIGMA) ** 2)
+        data = np.full((len(log.t), 3), np.nan)
+        data[::NODE] = (nominal[::NODE] @ log.accel[::NODE, :, None])[:, :, 0] - [0.0, 0.0, GRAVITY]
+        start = np.diag([0.02] * 3 + [1e-4] * 3) ** 2
+        x = filter_.smooth(data[None], np.zeros(6), start, observations=False).states.mean[0]
+        return np.asarray(np.einsum("nji,nj->ni", nominal, turned(-x[:, :3]).as_matrix()[:, :, 2]))
+
+    return work
+
+
 def gtsam(log: Drive) -> Callable[[], Array]:
     """Batch solution of gtsam: Rot3 at 10 Hz, preintegrated gravity, magnetometer, all marginal covariances."""
     lib: Any = import_module("gtsam")
@@ -201,8 +229,54 @@ def rosbags(path: Path) -> Callable[[], int]:
     return work
 
 
-FILTERS = {"vqf": vqf, "imufusion": imufusion, "ahrs": ahrs, "filterpy": filterpy, "gtsam": gtsam}
-READERS = {"mcap-ros2-support": mcap_ros2, "rosbags": rosbags}
+def roboto(path: Path) -> Callable[[], int]:
+    """roboto-mcap-codec (Rust): Arrow batches of every channel, without the arrays of covariances."""
+    codec = import_module("mcap_codec")
+
+    def work() -> int:
+        with path.open("rb") as stream:
+            channels = import_module("mcap.reader").make_reader(stream).get_summary().channels
+            left_out = codec.Projection(exclude=[[f"{name}_covariance"] for name in COVARIANCES])
+
+            def part(offset: int, length: int) -> bytes:
+                stream.seek(offset)
+                return stream.read(length)
+
+            count = 0
+            for channel_id in channels:
+                which = {"channel": codec.ChannelId(channel_id), "timestamp": codec.TimestampSource("message_log_time")}
+                with codec.open_mcap_file(part, path.stat().st_size, projection=left_out, **which) as cursor:
+                    count += sum(batch.num_rows for batch in cursor)
+            return count
+
+    return work
+
+
+def zstandard(path: Path) -> Callable[[], int]:
+    """The chunks of the file unpacked by zstandard, and nothing read in them: what no reader can be faster than."""
+    unpacker = import_module("zstandard").ZstdDecompressor()
+
+    def work() -> int:
+        with path.open("rb") as stream:
+            summary = import_module("mcap.reader").make_reader(stream).get_summary()
+            for chunk in summary.chunk_indexes:
+                stream.seek(chunk.chunk_start_offset + chunk.chunk_length - chunk.compressed_size)
+                packed = stream.read(chunk.compressed_size)
+                unpacker.decompress(packed, max_output_size=chunk.uncompressed_size)
+            return int(summary.statistics.message_count)
+
+    return work
+
+
+FILTERS = {
+    "vqf": vqf,
+    "imufusion": imufusion,
+    "ahrs": ahrs,
+    "filterpy": filterpy,
+    "simdkalman": simdkalman,
+    "gtsam": gtsam,
+}
+READERS = {"mcap-ros2-support": mcap_ros2, "rosbags": rosbags, "roboto-mcap-codec": roboto, "zstandard": zstandard}
 
 
 def inclination_deg(found: Array, log: Drive, path: Path) -> float:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from whole_job import SENSORS, run, stages
+from whole_job import SENSORS, run, spawned, stages
 
 RATE_HZ = 200
 LENGTHS_S = (60, 600, 3600)
@@ -48,9 +48,12 @@ PEERS = (
     Peer("imufusion", "imufusion", "imufusion", 3600, "complementary filter (C), causal, no sigma"),
     Peer("gtsam", "gtsam", "gtsam", 600, "batch, Rot3 at 10 Hz (C++), sigma"),
     Peer("filterpy", "filterpy", "filterpy", 600, "Kalman filter + RTS, sigma"),
+    Peer("simdkalman", "simdkalman", "simdkalman", 600, "Kalman filter + smoother, constant matrices, sigma"),
     Peer("ahrs", "ahrs", "ahrs", 60, "EKF, causal, no sigma"),
     Peer("rosbags", "rosbags", "rosbags", 600, "an object a message", reads=True),
     Peer("mcap-ros2-support", "mcap_ros2", "mcap-ros2-support", 600, "an object a message", reads=True),
+    Peer("roboto-mcap-codec", "mcap_codec", "roboto-mcap-codec", 3600, "Arrow batches (Rust)", reads=True),
+    Peer("zstandard", "zstandard", "zstandard", 3600, "the chunks unpacked, nothing read in them", reads=True),
 )
 
 
@@ -110,6 +113,14 @@ def against(peer: Peer, logs: dict[int, Path], spent: Spent, runs: int) -> Row:
     return Row(name, length, found["seconds"], ours, int(found["rows"]), inclination, peer.gives, peer.reads)
 
 
+def starts(log: Path, runs: int) -> list[tuple[str, float]]:
+    """Return what starting costs: a bare typer program with one option, ``attest --help``, ``attest info``."""
+    bare = "import typer; app = typer.Typer(); app.command()(lambda: None); app(['--help'])"
+    jobs = {"bare typer program, `--help`": ["-c", bare], "`attest --help`": ["-m", "attest_cli", "--help"]}
+    jobs[f"`attest info`, {span(int(log.parent.name))}"] = ["-m", "attest_cli", "info", str(log)]
+    return [(name, min(spawned(command)[0] for _ in range(runs))) for name, command in jobs.items()]
+
+
 def span(length_s: int) -> str:
     """Return a length in words."""
     return f"{length_s // 3600} h" if length_s >= 3600 else f"{length_s // 60} min"
@@ -121,7 +132,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, marks, *rows)) + "\n"
 
 
-def page(rows: Sequence[Row], whole: Whole, spent: Spent) -> str:
+def page(rows: Sequence[Row], whole: Whole, spent: Spent, started: Sequence[tuple[str, float]]) -> str:
     """Return the page with all tables."""
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     head = f"""# Speed
@@ -147,6 +158,7 @@ is its read stage, the first in the process. `ratio` is the peer's cost over att
             ("whole job", *spans),
             [("CPU, s", *(f"{cpu:.2f}" for cpu, _ in jobs)), ("memory, MB", *(f"{used:.0f}" for _, used in jobs))],
         ),
+        table(("start", "CPU, s"), [(name, f"{cpu:.2f}") for name, cpu in started]),
         table(("stage, CPU s", *spans), [(n, *(f"{s.get(n, 0.0):.3f}" for s in spent.values())) for n in names]),
     ]
     return "\n".join([head, *parts])
@@ -218,8 +230,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         lengths = (*LENGTHS_S, *(LONG_S if wanted.long else ()))
         rows, whole, spent = measured(wanted.logs or Path(scratch), lengths, wanted.runs)
+        started = starts(made(wanted.logs or Path(scratch), LENGTHS_S[-1]), 2 * wanted.runs)
     wanted.output.mkdir(parents=True, exist_ok=True)
-    (wanted.output / "speed.md").write_text(page(rows, whole, spent), encoding="utf-8")
+    (wanted.output / "speed.md").write_text(page(rows, whole, spent, started), encoding="utf-8")
     draw(wanted.output / "pictures" / "speed.png", rows, whole, spent)
 
 

@@ -19,13 +19,19 @@ SENSORS = "sun,magnetometer,odometry"
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what pip installs is compiled; this tree is from its second run on
 
 
-def run(command: list[str]) -> tuple[float, float]:
-    """Run a process; return its CPU seconds (user + system) and its largest memory, MB."""
-    pid = os.posix_spawn(sys.executable, [sys.executable, "-m", "attest_cli", *command], os.environ)
+def spawned(arguments: list[str]) -> tuple[float, float]:
+    """Run Python, silent; return its CPU seconds (user + system) and its largest memory, MB."""
+    silent = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
+    pid = os.posix_spawn(sys.executable, [sys.executable, *arguments], os.environ, file_actions=silent)
     _, status, used = os.wait4(pid, 0)
     if os.waitstatus_to_exitcode(status) not in {0, 3}:
-        sys.exit(f"attest {' '.join(command)} failed")
+        sys.exit(f"python {' '.join(arguments)} failed")
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def run(command: list[str]) -> tuple[float, float]:
+    """Run attest; return its CPU seconds and its largest memory, MB."""
+    return spawned(["-m", "attest_cli", *command])
 
 
 def stages(log: Path, output: Path, runs: int) -> dict[str, float]:
