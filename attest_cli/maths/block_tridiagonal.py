@@ -31,24 +31,17 @@ def solve(diagonal: Array, upper: Array, right: Array) -> tuple[Array, Array, Ar
     n, s = right.shape
     if n == 1:
         inverse = np.linalg.inv(diagonal)
-        return np.einsum("kij,kj->ki", inverse, right), 0.5 * (inverse + inverse.swapaxes(1, 2)), upper
+        return np.einsum("kij,kj->ki", inverse, right), _symmetric(inverse), upper
     odd = diagonal[1::2]
     m = len(odd)
     left = upper[0::2].swapaxes(1, 2)  # A_{i,i-1} of the odd blocks i
     beyond = np.zeros((m, s, s))
     beyond[: len(upper[1::2])] = upper[1::2]  # A_{i,i+1}; zero for a last odd block
-    inverse = np.linalg.inv(odd)
-    inverse = 0.5 * (inverse + inverse.swapaxes(1, 2))
+    inverse = _symmetric(np.linalg.inv(odd))
     G_left, G_right, g = inverse @ left, inverse @ beyond, np.einsum("kij,kj->ki", inverse, right[1::2])
 
-    even_diagonal, even_right = diagonal[0::2].copy(), right[0::2].copy()
-    e = len(even_diagonal)
-    even_diagonal[:m] -= left.swapaxes(1, 2) @ G_left
-    even_right[:m] -= np.einsum("kji,kj->ki", left, g)
-    even_diagonal[1:] -= (beyond.swapaxes(1, 2) @ G_right)[: e - 1]
-    even_right[1:] -= np.einsum("kji,kj->ki", beyond, g)[: e - 1]
-    even_upper = -(left.swapaxes(1, 2) @ G_right)[: e - 1]
-    x_even, cov_even, cross_even = solve(0.5 * (even_diagonal + even_diagonal.swapaxes(1, 2)), even_upper, even_right)
+    x_even, cov_even, cross_even = solve(*_even(diagonal, right, left, beyond, G_left, G_right, g))
+    del beyond
 
     pad = np.zeros((1, s, s))
     x_next = np.concatenate([x_even[1:], np.zeros((1, s))])[:m]
@@ -59,8 +52,26 @@ def solve(diagonal: Array, upper: Array, right: Array) -> tuple[Array, Array, Ar
     x, covariance, cross = np.empty((n, s)), np.empty((n, s, s)), np.empty((n - 1, s, s))
     x[0::2], covariance[0::2] = x_even, cov_even
     x[1::2] = g - np.einsum("kij,kj->ki", G_left, x_even[:m]) - np.einsum("kij,kj->ki", G_right, x_next)
-    own = inverse - with_left @ G_left.swapaxes(1, 2) - with_right @ G_right.swapaxes(1, 2)
-    covariance[1::2] = 0.5 * (own + own.swapaxes(1, 2))
+    inverse -= with_left @ G_left.swapaxes(1, 2)
+    inverse -= with_right @ G_right.swapaxes(1, 2)
+    covariance[1::2] = _symmetric(inverse)
     cross[0::2] = with_left.swapaxes(1, 2)
     cross[1::2] = with_right[: len(cross[1::2])]
     return x, covariance, cross
+
+
+def _even(
+    diagonal: Array, right: Array, left: Array, beyond: Array, G_left: Array, G_right: Array, g: Array
+) -> tuple[Array, Array, Array]:
+    """Return the system of the even blocks."""
+    even_diagonal, even_right, m = diagonal[0::2].copy(), right[0::2].copy(), len(left)
+    e = len(even_diagonal)
+    even_diagonal[:m] -= left.swapaxes(1, 2) @ G_left
+    even_right[:m] -= np.einsum("kji,kj->ki", left, g)
+    even_diagonal[1:] -= (beyond.swapaxes(1, 2) @ G_right)[: e - 1]
+    even_right[1:] -= np.einsum("kji,kj->ki", beyond, g)[: e - 1]
+    return _symmetric(even_diagonal), -(left.swapaxes(1, 2) @ G_right)[: e - 1], even_right
+
+
+def _symmetric(blocks: Array) -> Array:
+    return np.asarray(0.5 * (blocks + blocks.swapaxes(1, 2)))

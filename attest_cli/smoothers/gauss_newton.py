@@ -9,6 +9,7 @@ import numpy as np
 from ..filters.alignment import Start
 from ..maths import block_tridiagonal, kalman, rotation
 from ..maths.consistency import upper_quantile
+from ..maths.propagation import Increments
 from ..nodes import Nodes
 from ..records import Array, Innovations, Smoothed
 
@@ -50,8 +51,8 @@ def refine(
     kept = None if innovations is None or free else _kept(innovations)
     while made < passes:
         made += 1
-        diagonal, upper, right = _normal_equations(nodes, start, q, bias, kept)
-        d, P, cross = block_tridiagonal.solve(diagonal, upper, right)
+        P = cross = np.empty(0)  # made again: room for what it is made of
+        d, P, cross = block_tridiagonal.solve(*_normal_equations(nodes, start, q, bias, kept))
         q = rotation.normalise(rotation.multiply(q, rotation.exp_quaternion(d[:, :3])))
         bias = bias + d[:, 3:]
         again = None if innovations is None or made < free else _gated(nodes, q, bias, P, gate)
@@ -59,7 +60,7 @@ def refine(
         kept = again
         if settled and not fixed:
             break
-    return replace(smoothed, q=q, bias=bias, P=kalman.symmetric(P), cross=cross, passes=made, settled=settled or fixed)
+    return replace(smoothed, q=q, bias=bias, P=P, cross=cross, passes=made, settled=settled or fixed)
 
 
 def _kept(found: Innovations) -> Kept:
@@ -83,22 +84,10 @@ def _normal_equations(
     nodes: Nodes, start: Start, q: Array, bias: Array, kept: Kept | None
 ) -> tuple[Array, Array, Array]:
     """Return diagonal blocks, upper blocks and right-hand side of the least-squares problem about the trajectory."""
-    inc, n = nodes.increments, len(nodes.t)
-    turns, Phi = inc.at(bias[:-1], 0, n - 1)
-    u = np.empty((n - 1, 6))
-    u[:, :3] = rotation.log_quaternion(rotation.multiply(rotation.conjugate(q[1:]), rotation.multiply(q[:-1], turns)))
-    u[:, 3:] = bias[:-1] - bias[1:]
-    ahead = np.tile(np.eye(6), (n - 1, 1, 1))  # derivative of u to the later error
-    far = np.flatnonzero(np.linalg.norm(u[:, :3], axis=1) > FAR_RAD)
-    ahead[far, :3, :3] = rotation.inverse_right_jacobian(-u[far, :3])
-    Phi[far, :3] = rotation.inverse_right_jacobian(u[far, :3]) @ Phi[far, :3]
-    weight = kalman.symmetric(np.linalg.inv(inc.Q))
-    PhiW, aheadW = Phi.swapaxes(1, 2) @ weight, ahead.swapaxes(1, 2) @ weight
-    diagonal, right = np.zeros((n, 6, 6)), np.zeros((n, 6))
-    diagonal[:-1] += PhiW @ Phi
-    diagonal[1:] += aheadW @ ahead
-    right[:-1] -= np.einsum("kij,kj->ki", PhiW, u)
-    right[1:] += np.einsum("kij,kj->ki", aheadW, u)
+    n = len(nodes.t)
+    diagonal, upper, right = np.zeros((n, 6, 6)), np.empty((n - 1, 6, 6)), np.zeros((n, 6))
+    for rows in kalman.blocks(n - 1):
+        _add_motion(diagonal, upper, right, nodes.increments, q, bias, rows)
     _add_prior(diagonal, right, start, q[0], bias[0])
     for node, group in zip(nodes.measured.tolist(), nodes.measurements, strict=True):
         R_nb = rotation.matrix(q[node])
@@ -109,7 +98,33 @@ def _normal_equations(
             HtW = np.linalg.solve(m.noise, H).T
             diagonal[node] += HtW @ H
             right[node] += HtW @ r
-    return kalman.symmetric(diagonal), -PhiW @ ahead, right
+    for rows in kalman.blocks(n):
+        diagonal[rows] = kalman.symmetric(diagonal[rows])
+    return diagonal, upper, right
+
+
+def _add_motion(
+    diagonal: Array, upper: Array, right: Array, increments: Increments, q: Array, bias: Array, rows: slice
+) -> None:
+    """Add what the gyro says of some intervals."""
+    later = slice(rows.start + 1, rows.stop + 1)
+    turns, Phi = increments.at(bias[rows], rows.start, rows.stop)
+    u = np.empty((len(Phi), 6))
+    u[:, :3] = rotation.log_quaternion(
+        rotation.multiply(rotation.conjugate(q[later]), rotation.multiply(q[rows], turns))
+    )
+    u[:, 3:] = bias[rows] - bias[later]
+    ahead = np.tile(np.eye(6), (len(u), 1, 1))  # derivative of u to the later error
+    far = np.flatnonzero(np.linalg.norm(u[:, :3], axis=1) > FAR_RAD)
+    ahead[far, :3, :3] = rotation.inverse_right_jacobian(-u[far, :3])
+    Phi[far, :3] = rotation.inverse_right_jacobian(u[far, :3]) @ Phi[far, :3]
+    weight = kalman.symmetric(np.linalg.inv(increments.Q[rows]))
+    PhiW, aheadW = Phi.swapaxes(1, 2) @ weight, ahead.swapaxes(1, 2) @ weight
+    diagonal[rows] += PhiW @ Phi
+    diagonal[later] += aheadW @ ahead
+    right[rows] -= np.einsum("kij,kj->ki", PhiW, u)
+    right[later] += np.einsum("kij,kj->ki", aheadW, u)
+    upper[rows] = -PhiW @ ahead
 
 
 def _add_prior(diagonal: Array, right: Array, start: Start, q: Array, bias: Array) -> None:
