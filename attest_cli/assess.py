@@ -63,12 +63,18 @@ def segment_checks(
     f, b = (np.sum(p.sigma_n() ** 2, axis=1) for p in (forward, backward))
     found = {}
     for s in segmentation.motions:
-        rows = np.flatnonzero((t >= s.start) & (t <= s.end) & np.isfinite(b))
+        part = _inside(t, s.start, s.end)
+        rows = part.start + np.flatnonzero(np.isfinite(b[part]))
         if len(rows):
             k = rows[np.argmin(np.abs(np.log(f[rows] / b[rows])))]
             comparable = np.where(sigma[k] < VAGUE_RAD, apart[k] / sigma[k], np.nan)
             found[s.index] = (float(t[k]), comparable)
     return found
+
+
+def _inside(t: Array, start: float, end: float) -> slice:
+    """Return the nodes of a span, its ends among them."""
+    return slice(int(np.searchsorted(t, start)), int(np.searchsorted(t, end, side="right")))
 
 
 def segment_table(
@@ -84,9 +90,10 @@ def segment_table(
         checks = {i: (when, np.array([x, y, np.nan])) for i, (when, (x, y, _)) in checks.items()}
     sigma = {name: np.degrees(p.sigma_n()) for name, p in passes.items()}
     ranges = dict(zip((s.index for s in segmentation.stops), stop_ranges(log, segmentation), strict=True))
+    worst = {name: found.max(axis=1) for name, found in sigma.items()}
     rows = []
     for s in segmentation.segments:
-        at = np.flatnonzero((t >= s.start - 1e-6) & (t <= s.end + 1e-6))
+        at = _inside(t, s.start - 1e-6, s.end + 1e-6)
         row: dict[str, Any] = {
             "index": s.index,
             "kind": "motion" if s.motion else "stop",
@@ -97,11 +104,11 @@ def segment_table(
             "duration_s": s.end - s.start,
             "used_start_s": s.used_start,
             "used_end_s": s.used_end,
-            "sigma_attitude_forward_deg": _most(sigma["forward"][at].max(axis=1)) if len(at) else None,
-            "sigma_attitude_smoothed_deg": _most(sigma["smoothed"][at].max(axis=1)) if len(at) else None,
-            "sigma_tilt_smoothed_deg": _most(np.hypot(*sigma["smoothed"][at, :2].T)) if len(at) else None,
+            "sigma_attitude_forward_deg": _most(worst["forward"][at]),
+            "sigma_attitude_smoothed_deg": _most(worst["smoothed"][at]),
+            "sigma_tilt_smoothed_deg": _most(np.hypot(*sigma["smoothed"][at, :2].T)),
         }
-        row |= _motion_columns(s, checks, t, sigma["forward"], position, threshold_deg) if s.motion else {}
+        row |= _motion_columns(s, checks, t, worst["forward"], position, threshold_deg) if s.motion else {}
         row |= _stop_columns(log, s, ranges[s.index], t, position, noise) if not s.motion else {}
         rows.append(row)
     return rows
@@ -111,11 +118,12 @@ def _motion_columns(
     s: Segment,
     checks: Mapping[int, tuple[float, Array]],
     t: Array,
-    sigma: Array,
+    worst: Array,
     position: Position | None,
     threshold_deg: float,
 ) -> dict[str, Any]:
-    over = np.flatnonzero((t >= s.start) & (t <= s.end) & (sigma.max(axis=1) > threshold_deg))
+    rows = _inside(t, s.start, s.end)
+    over = rows.start + np.flatnonzero(worst[rows] > threshold_deg)
     when, apart = checks.get(s.index, (None, np.full(3, np.nan)))
     wrong = [name for name, value in zip("xyz", apart, strict=True) if abs(value) > 3.0]
     after = float(t[over[0]] - s.start) if len(over) else math.nan
@@ -140,8 +148,9 @@ def _stop_columns(
         row |= {f"gyro_mean_{a}_rad_s": float(m) for a, m in zip("xyz", mean, strict=True)}
         row |= {f"gyro_mean_sigma_{a}_rad_s": float(sigma) for a in "xyz"}
     if position is not None and hi > lo:
-        middle = (lo + hi) // 2
-        k = int(np.argmin(np.abs(t - log.imu.t[middle])))
+        middle = log.imu.t[(lo + hi) // 2]
+        later = int(np.searchsorted(t, middle))
+        k = min(max(later - 1, 0), min(later, len(t) - 1), key=lambda node: abs(t[node] - middle))
         row |= {f"position_{a}_m": _value(v) for a, v in zip("xyz", position.p[k], strict=True)}
         row["sigma_position_m"] = _value(np.sqrt(np.trace(position.P[k]))) if np.isfinite(position.P[k]).all() else None
     return row
@@ -195,12 +204,12 @@ def stop_advice(
     for stop, motion in pairwise(segmentation.segments):
         if stop.motion or not motion.motion:
             continue  # where no stop stands before, none can be advised
-        late = np.flatnonzero(over & (t >= motion.start) & (t <= motion.end))
-        at_stop = np.flatnonzero((t >= stop.used_start) & (t <= stop.used_end))
-        if not len(late) or not _worth_a_stop(float(t[late[0]]) - motion.start, motion):
+        driven, stood = _inside(t, motion.start, motion.end), _inside(t, stop.used_start, stop.used_end)
+        late = t[driven][over[driven]] - motion.start
+        if not len(late) or not _worth_a_stop(float(late[0]), motion):
             continue
-        if len(at_stop) and sigma[at_stop[-1]].max() < threshold_deg:
-            lines.append(f"segment {motion.index}: stop {_clock(t[late[0]] - motion.start)} after it began")
+        if stood.start < stood.stop and sigma[stood.stop - 1].max() < threshold_deg:
+            lines.append(f"segment {motion.index}: stop {_clock(late[0])} after it began")
     return {
         "threshold_deg": threshold_deg,
         "axis": "heading" if heading or not over.any() else "tilt",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .assess import Pass
 from .maths import rotation
-from .position import Position, row_blocks
+from .position import Position, around, row_blocks
 from .records import Array, Innovations, Log, Segmentation, Smoothed
 from .track import world_variance
 
@@ -92,7 +92,8 @@ class Track:
 
     def _columns(self, rows: slice, q: Array, angles: Array, nodes: Columns, p: Array, v: Array) -> Columns:
         t = self.log.imu.t[rows]
-        at = {name: np.interp(t, self.smoothed.t, values) for name, values in nodes.items()}
+        near = around(self.smoothed.t, t)
+        at = {name: np.interp(t, self.smoothed.t[near], values[near]) for name, values in nodes.items()}
         segment, moving = segment_of(t, self.segmentation)
         columns: Columns = {"timestamp_ns": self.log.stamps_ns[rows], "t_s": t}
         columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}

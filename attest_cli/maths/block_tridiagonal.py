@@ -73,5 +73,5 @@ def _even(
     return _symmetric(even_diagonal), -(left.swapaxes(1, 2) @ G_right)[: e - 1], even_right
 
 
-def _symmetric(blocks: Array) -> Array:
-    return np.asarray(0.5 * (blocks + blocks.swapaxes(1, 2)))
+def _symmetric(blocks: NDArray[np.floating]) -> Array:
+    return np.asarray(0.5 * (blocks + blocks.swapaxes(1, 2)), dtype=np.float64)

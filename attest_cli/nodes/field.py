@@ -74,11 +74,11 @@ def _dips(fixes: Fixes, log: Log, segmentation: Segmentation) -> Array:
     """Return the sine of the dip (k,) at the stops that have measurements."""
     out = []
     for s in segmentation.stops:
-        rows = (fixes.t >= s.used_start) & (fixes.t <= s.used_end)
-        lo, hi = np.searchsorted(log.imu.t, [s.used_start, s.used_end])
-        if not rows.any() or hi - lo < 3:
+        first, lo = (np.searchsorted(t, s.used_start) for t in (fixes.t, log.imu.t))
+        end, hi = (np.searchsorted(t, s.used_end, side="right") for t in (fixes.t, log.imu.t))
+        if end == first or hi - lo < 3:
             continue
-        field, up = np.median(fixes.values[rows], axis=0), log.imu.accel_b[lo:hi].mean(axis=0)
+        field, up = np.median(fixes.values[first:end], axis=0), log.imu.accel_b[lo:hi].mean(axis=0)
         size = float(np.linalg.norm(field) * np.linalg.norm(up))
         if size > 0.0:
             out.append(-float(field @ up) / size)

@@ -5,13 +5,14 @@ leaves.
 from __future__ import annotations
 
 from .chain import Markov, markov
-from .course import Position, navigated, row_blocks
+from .course import Position, around, navigated, row_blocks
 from .odometry import odometry_position, silences
 from .strapdown import inertial_position
 
 __all__ = [
     "Markov",
     "Position",
+    "around",
     "inertial_position",
     "markov",
     "navigated",

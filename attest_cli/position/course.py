@@ -46,6 +46,12 @@ def cut(lo: int, hi: int) -> Iterator[slice]:
         lo = end
 
 
+def around(grid: Array, t: Array) -> slice:
+    """Return the rows of an ascending grid that ascending times ``t`` are interpolated from."""
+    lo, hi = np.searchsorted(grid, t[[0, -1]])
+    return slice(max(int(lo) - 1, 0), int(hi) + 1)
+
+
 def running(start: Array, steps: Array) -> Array:
     """Return ``start`` (k,) and its sums with the steps (n, k) (n + 1, k): the same in blocks as in one piece."""
     return np.cumsum(np.concatenate([start[None], steps]), axis=0)

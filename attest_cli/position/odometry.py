@@ -12,7 +12,7 @@ from ..maths.kalman import symmetric
 from ..records import Array, Bools, Fixes, Imu, Segmentation, Smoothed
 from ..settings import Settings
 from .chain import blocks, markov
-from .course import Position, row_blocks, running, survey, usable
+from .course import Position, around, row_blocks, running, survey, usable
 
 CORRELATION_S = 1.0  # wheel slip lasts about this long
 STILL_M_S = 2e-3  # a vehicle that drives is faster
@@ -76,8 +76,9 @@ def _driven(
 
 def _vehicle_speed(t: Array, odometry: Fixes, still: Bools) -> Array:
     """Return the velocity (k, 3) in vehicle axes at times ``t``, zero where the vehicle is known to stand."""
-    known = np.nan_to_num(odometry.values[:, :3])
-    v = np.stack([np.interp(t, odometry.t, known[:, i]) for i in range(3)], axis=1)
+    rows = around(odometry.t, t)
+    known = np.nan_to_num(odometry.values[rows, :3])
+    v = np.stack([np.interp(t, odometry.t[rows], column) for column in known.T], axis=1)
     v[still] = 0.0
     return v
 

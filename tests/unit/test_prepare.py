@@ -562,5 +562,5 @@ def test_a_renamed_column_is_missing_only_where_no_file_has_it() -> None:
 @pytest.mark.parametrize(("forward", "aside", "said"), [(0.0, 0.0, False), (0.4, 0.0, False), (0.05, 0.4, True)])
 def test_odometry_that_goes_sideways_is_told_and_noise_at_rest_is_not(forward: float, aside: float, said: bool) -> None:
     noise = np.random.default_rng(3).normal(0.0, (0.02, 0.05, 0.05), (200, 3))
-    odometry = fixes("odometry", np.arange(200) * 0.05, noise + [forward, aside, 0.0])
+    odometry = fixes("odometry", np.arange(200) * 0.05, noise + np.array([forward, aside, 0.0]))
     assert ("odometry-sideways" in codes(log_of(imu(), odometry))) is said
