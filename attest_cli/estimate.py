@@ -14,6 +14,7 @@ from .filters.choice import choose
 from .filters.lag import find_lags
 from .maths import kalman, rotation
 from .maths.kalman import Chain
+from .memory import give_back
 from .nodes import Nodes
 from .nodes.noise import Noise, find_noise
 from .records import Array, Bools, FilterRun, Fixes, Ints, Log, Segmentation, Shown, Smoothed, Warn, World
@@ -84,6 +85,7 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     if samples is None:
         return replace(told, q=rotation.continuous(smoothed.q))
     del found, forward, errors, smoothed  # full rate is long enough
+    give_back()
     return replace(told, q=full_rate(samples, told.smoothed))
 
 
@@ -189,6 +191,7 @@ def smooth_run(nodes: Nodes, start: Start, forward: FilterRun, settings: Setting
     if passes == 0:
         return smoothed
     again = nodes.rebuild(smoothed.bias)
+    smoothed = replace(smoothed, P=forward.chain.P[:0], cross=forward.chain.P[:0])  # every pass makes its own
     return gauss_newton.refine(
         again, start, smoothed, forward.innovations, passes, cfg.gate_probability, fixed=cfg.iterations != "auto"
     )

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
-import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +16,7 @@ from .errors import AttestError
 from .estimate import Estimate, Progress, estimate, silent
 from .filters.choice import choose as choose_filter
 from .locate import IDENTITY, Vehicle, locate
+from .memory import give_back, keep_memory
 from .nodes.noise import CALIBRATION, contradictions, find_noise
 from .nodes.observations import observe
 from .position import Position
@@ -36,29 +34,11 @@ from .writers import write_track
 from .writers.files import atomic_write, check_output, write_csv_rows, write_table
 from .writers.folder import result_folder
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, KEPT_BYTES = -1, -3, 1 << 23  # malloc.h; what is larger is a column of a long log
 FRAMES = {"enu": "ENU world, FLU body", "ned": "NED world, FRD body"}
 EVALUATION, EVALUATION_PAGE = "evaluation.json", "09-evaluate.png"
 CALIBRATED = ("imu", "gyro", "accel", "temperature", "magnetometer")  # roles that a calibration reads
 LOG_SUFFIXES = (".csv", ".mcap", ".parquet")
 DETECTOR_STEP_S = 0.1  # the statistic is drawn at this step
-
-
-def keep_memory() -> None:
-    """Ask the C library to keep freed arrays for the next ones: page faults cost a tenth of a long log's time."""
-    with suppress(OSError, AttributeError):  # not glibc
-        libc = ctypes.CDLL(None)
-        libc.mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
-        libc.mallopt(M_TRIM_THRESHOLD, 2 * KEPT_BYTES)
-
-
-def give_back() -> None:
-    """Let Arrow's pool and the C library give back what was read into; freed, it is up to a quarter of a long log."""
-    arrow = sys.modules.get("pyarrow")
-    if arrow is not None:
-        arrow.default_memory_pool().release_unused()
-    with suppress(OSError, AttributeError):  # not glibc
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def read(paths: Sequence[Path], settings: Settings) -> tuple[tuple[Recording, ...], Log]:

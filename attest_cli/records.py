@@ -226,7 +226,7 @@ class Segmentation:
     """
 
     segments: tuple[Segment, ...]
-    statistic: Array
+    statistic: NDArray[np.float32]
     enter: float
     leave: float
     bias_b: Array

@@ -6,6 +6,7 @@ import itertools
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..records import Array, Bools, Ints, Log, Segment, Segmentation, Warn
 from ..settings import Settings
@@ -66,7 +67,7 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
     walk = 3.0 * (settings.imu.gyro_random_walk or BIAS_WALK)
     quiet = agreeing(found, sigmas[0] ** 2 / windows.width + GYRO_DRIFT**2, walk)
     by_hop = stop_statistic(windows, sigmas, limits, quiet, walk)
-    statistic = np.repeat(by_hop, np.diff(windows.first))
+    statistic = np.repeat(by_hop.astype(np.float32), np.diff(windows.first))
     if stops.file is not None:
         still = inside_stops(imu.t, read_stops(stops.file, float(imu.t[0]), float(imu.t[-1])))
     else:
@@ -104,7 +105,7 @@ def fast(wide: Quiet) -> tuple[Warn, ...]:
     return (Warn("gyro-bias", message, "state imu.gyro_bias_sigma as large as the bias may be"),)
 
 
-def margin_of(statistic: Array, still: Bools, enter: float) -> float:
+def margin_of(statistic: NDArray[np.float32], still: Bools, enter: float) -> float:
     """5 % quantile of the statistic in motion over the threshold; nan without motion or without a stop."""
     return float(np.quantile(statistic[~still], 0.05)) / enter if still.any() and not still.all() else math.nan
 

@@ -17,6 +17,7 @@ FALSE_ALARM = 1e-6  # per window, of a threshold that knows the noise only
 FLOOR_FACTOR, FLOOR_CAP = 2.0, 50.0  # stops that shake: threshold over their own level, at most this over the noise's
 QUIET_SHARE = 0.01  # share of the log that is taken as still when nothing else is known
 HOPS = 20  # the window moves by this share of its width
+BLOCK_HOPS = 1 << 13  # handled together: their samples stay in cache
 GYRO_DRIFT, ACCEL_DRIFT = 5e-5, 1e-3  # rad/s, m/s^2: how far means of a still sensor wander beyond white noise
 ACCEL_WALK = 3e-4  # m/s^2/sqrt(s): the same over a longer stop
 LONE_STOP_S = 4.0  # a bias that a single quiet interval supports needs one this long
@@ -85,18 +86,20 @@ def window_moments(imu: Imu, edges: Ints, window_s: float) -> Windows:
     low = np.maximum(np.minimum(hops - span // 2, end - span), begin)
     high = np.minimum(low + span, end)
 
-    def over_window(x: Array) -> Array:
-        sums = np.add.reduceat(x, first, axis=0)
-        total = np.concatenate([np.zeros_like(sums[:1]), np.cumsum(sums, axis=0)])
-        return np.asarray(total[high] - total[low])
-
     samples = (ends[high] - ends[low]).astype(float)
 
     def moments(x: Array) -> tuple[Array, Array]:
         centre = np.einsum("ij->j", x) / n  # five times as fast as its mean, and no need to be exact
-        x = x - centre  # without gravity and bias the sums lose no digits
-        mean = over_window(x) / samples[:, None]
-        square = over_window(np.einsum("ij,ij->i", x, x)) / samples
+        sums = np.empty((first.size + 1, 4))
+        sums[0] = 0.0
+        for lo in range(0, first.size, BLOCK_HOPS):
+            part = slice(lo, min(lo + BLOCK_HOPS, first.size))
+            off = x[ends[lo] : ends[part.stop]] - centre  # without gravity and bias the sums lose no digits
+            terms = np.concatenate([off, np.einsum("ij,ij->i", off, off)[:, None]], axis=1)
+            sums[lo + 1 : part.stop + 1] = np.add.reduceat(terms, first[part] - ends[lo], axis=0)
+        np.cumsum(sums, axis=0, out=sums)
+        means = (sums[high] - sums[low]) / samples[:, None]
+        mean, square = means[:, :3], means[:, 3]
         return np.maximum(square - np.einsum("ij,ij->i", mean, mean), 0.0), mean + centre
 
     spread_gyro, mean_gyro = moments(imu.gyro_b)
