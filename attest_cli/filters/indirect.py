@@ -14,7 +14,8 @@ import numpy as np
 from ..maths import rotation
 from ..maths.consistency import upper_quantile
 from ..maths.kalman import Chain, Update, iterated_update
-from ..nodes import Nodes, build_nodes
+from ..nodes import Nodes, build_nodes, mean_rate
+from ..nodes.noise import motion_density, reference_bias
 from ..nodes.observations import observe
 from ..records import Array, FilterRun, Innovations, Warn
 from ..sensors import Measurement
@@ -52,7 +53,7 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
     known = epochs is not None or _spared(causes)  # navigation has states for it
     better, told = (None, ()) if known else scale.mended(drive, *scale.learn(begun.nodes, _ungated(begun)))
     if better is not None:
-        again = _begin(better, None)
+        again = _begin(better, None) if told else _noisier(begun, better)
         solved = consistent_run(again.nodes, again.start, gate, again.run)
         if solved[2] <= (1.0 if told else raised):  # a scale is believed that leaves less to explain
             begun, (nodes, found, raised), drive = replace(again, warnings=(*again.warnings, *told)), solved, better
@@ -72,6 +73,17 @@ def _begin(drive: Drive, epochs: Array | None) -> Begun:
     nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, settings, epochs)
     start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=drive.world.field_n is None)
     return Begun(drive, nodes, start, run(nodes, start, settings.smoothing.gate_probability), tuple(warnings))
+
+
+def _noisier(begun: Begun, drive: Drive) -> Begun:
+    """Run again with more noise of the gyro in motion, and all else as it is."""
+    nodes = begun.nodes
+    middle = 0.5 * (nodes.t[1:] + nodes.t[:-1])
+    rate = mean_rate(drive.log.imu, middle) - reference_bias(drive.log, drive.segmentation, middle)
+    nodes = nodes.denser(motion_density(drive.noise, rate) - motion_density(nodes.noise, rate))
+    nodes = replace(nodes, noise=drive.noise)
+    found = run(nodes, begun.start, drive.settings.smoothing.gate_probability)
+    return replace(begun, drive=drive, nodes=nodes, run=found)
 
 
 def _ungated(begun: Begun) -> FilterRun:

@@ -67,13 +67,17 @@ class Nodes:
         return replace(self, increments=increments)
 
     def raised(self, factor: float) -> Nodes:
-        """Return the nodes with the gyro's variance in motion raised by ``factor``; white noise adds ``n_r span`` to
-        ``Q``.
+        """Return the nodes with the gyro's variance in motion raised by ``factor``."""
+        return self.denser((factor - 1.0) * self.density)
+
+    def denser(self, more: Array) -> Nodes:
+        """Return the nodes with ``more`` (n - 1,), (rad/s)^2/Hz, added to the gyro's density: white noise adds it times
+        ``span`` to ``Q``, in motion.
         """
-        more = np.where(self.frozen | self.gap, 0.0, (factor - 1.0) * self.density * self.increments.span)
+        added = np.where(self.frozen | self.gap, 0.0, more * self.increments.span)
         Q = self.increments.Q.copy()
-        Q[:, :3, :3] += more[:, None, None] * np.eye(3)
-        return replace(self, density=factor * self.density, increments=replace(self.increments, Q=Q))
+        Q[:, :3, :3] += added[:, None, None] * np.eye(3)
+        return replace(self, density=self.density + more, increments=replace(self.increments, Q=Q))
 
     def motion_variance(self) -> float:
         """Return the attitude variance, rad^2, that gyro noise adds over the worst motion."""

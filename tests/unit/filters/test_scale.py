@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.drives import Job, simulated
 
@@ -71,6 +72,15 @@ def test_what_is_likely_counts_as_noise_and_what_is_neither_as_nothing(job: Job)
     assert mended(drive, 0.003, 0.002) == (None, ())
     assert mended(drive, 0.3, 0.002) == (None, ())
     assert mended(drive, 0.1, 0.03) == (None, ())
+
+
+def test_noise_that_is_added_is_that_of_nodes_made_with_it(job: Job) -> None:
+    begun = indirect._begin(scaled(job, 1.0), None)
+    drive = replace(begun.drive, noise=replace(job.noise, gyro_scale=0.006))
+    added, made = indirect._noisier(begun, drive), indirect._begin(drive, None)
+    assert made.nodes.motion_variance() > 1.1 * begun.nodes.motion_variance()
+    np.testing.assert_allclose(added.run.chain.P, made.run.chain.P, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(added.run.q, made.run.q, atol=1e-7)
 
 
 def test_a_sound_drive_runs_once_and_as_before(job: Job) -> None:
