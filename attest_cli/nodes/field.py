@@ -7,6 +7,7 @@ import numpy as np
 from ..records import Array, Fixes, Log, Segmentation, Warn, World
 
 SIZE_OFF, DIP_OFF = 0.1, np.radians(5.0)  # share of the field, rad: what a calibrated sensor out of doors keeps to
+CALIBRATED, BIAS_OFF = 0.02, 0.07  # of the field: off the reference by less does not count; by more is told
 NORMALISED = 1e-3  # spread of a field whose size was taken out
 MAD = 1.4826
 FEW = 10
@@ -19,8 +20,8 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
     r"""Return what heading may be off, rad, by iron, and say so, where size or dip of the field cannot be the Earth's.
 
     Size against the reference where there is one, else against its own median; dip, the angle below the level, against
-    the reference, else from stop to stop. An offset of a share :math:`\epsilon` of the field turns heading by
-    :math:`\epsilon F/H` at most, with its horizontal part ``H``.
+    the reference, else from stop to stop. Against a reference, what is too little to be told counts too. An offset of
+    a share :math:`\epsilon` of the field turns heading by :math:`\epsilon F/H` at most, with its horizontal part ``H``.
     """
     sizes = np.linalg.norm(fixes.values, axis=1)
     if len(sizes) < FEW or not np.median(sizes) > 0.0:
@@ -28,22 +29,24 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
     sines = _dips(fixes, log, segmentation)
     reference = world.field_n
     usual = float(np.median(sizes))
-    spread = MAD * float(np.median(np.abs(sizes / usual - 1.0)))
-    size_off, dip_off = spread, float(np.ptp(np.arcsin(sines))) if len(sines) else 0.0
+    spread, biased = MAD * float(np.median(np.abs(sizes / usual - 1.0))), 0.0
+    dip_off = float(np.ptp(np.arcsin(sines))) if len(sines) else 0.0
     level = float(np.sqrt(1.0 - np.median(sines) ** 2)) if len(sines) else 1.0
     if reference is not None:
         whole = float(np.linalg.norm(reference))
         level = float(np.hypot(reference[0], reference[1])) / whole
-        if spread > NORMALISED:
-            size_off = max(spread, abs(usual / whole - 1.0))
+        biased = abs(usual / whole - 1.0) if spread > NORMALISED else 0.0
         if len(sines):
             dip_off = float(np.max(np.abs(np.arcsin(sines) - np.arcsin(-reference[2] / whole))))
-    facts = [f"its size is {100 * size_off:.0f} % off"] if size_off > SIZE_OFF else []
+    size_off, turned = max(spread, biased), float(np.sin(min(dip_off, 0.5 * np.pi)))
+    far = size_off > SIZE_OFF or biased > BIAS_OFF
+    facts = [f"its size is {100 * size_off:.0f} % off"] if far else []
     facts += [f"its dip at the stops is {np.degrees(dip_off):.0f} deg off"] if dip_off > DIP_OFF else []
-    if not facts:
-        return 0.0, [*_normalised(fixes, sizes, log), *_disturbed(fixes, sizes / usual - 1.0)]
-    told = Warn("magnetometer-uncalibrated", f"the magnetic field is not the Earth's: {' and '.join(facts)}", HINT)
-    return max(size_off, float(np.sin(min(dip_off, 0.5 * np.pi)))) / max(level, STEEPEST), [told]
+    seen = float(np.hypot(size_off if facts else biased, turned))  # iron that turns heading shows in neither
+    counts = bool(facts) or (reference is not None and seen > CALIBRATED)
+    told = [Warn("magnetometer-uncalibrated", f"the magnetic field is not the Earth's: {' and '.join(facts)}", HINT)]
+    told = told if facts else [*_normalised(fixes, sizes, log), *_disturbed(fixes, sizes / usual - 1.0)]
+    return seen / max(level, STEEPEST) if counts else 0.0, told
 
 
 def _normalised(fixes: Fixes, sizes: Array, log: Log) -> list[Warn]:

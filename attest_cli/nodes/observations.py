@@ -19,6 +19,7 @@ from .noise import Noise, reference_bias, stop_ranges
 FIELD_CORRELATION_S = 5.0  # a disturbed magnetic field stays disturbed this long in motion (design note, question 1)
 WINDOW_S = 10.0  # accelerometer window that stands in for a stop where a log has none
 CORRELATION_S = 1.0  # readings of a direction or heading sensor within this share their error
+FEW_HEADINGS = 4  # so many stops may all point one way
 STOP_BLOCK_S = 1.0  # samples of a fast sensor at a stop are averaged over this
 
 
@@ -258,10 +259,12 @@ def _magnetometer(
     fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, iron: float
 ) -> list[Observation]:
     """One heading per stop, with the error of the place and of ``iron``, rad; in motion (``always``) one a second,
-    inflated for its correlation.
+    inflated for its correlation. What iron does to heading is the same wherever the body points the same way: headings
+    that are few share it.
     """
     azimuth = 0.5 * np.pi if world.field_n is None else float(np.arctan2(world.field_n[1], world.field_n[0]))
-    sensor, place = FieldHeading(azimuth), np.radians(settings.magnetometer.sigma_deg) ** 2 + iron**2
+    shared = min(max(len(segmentation.stops), 1), FEW_HEADINGS)
+    sensor, place = FieldHeading(azimuth), np.radians(settings.magnetometer.sigma_deg) ** 2 + shared * iron**2
     still = at_stop(fixes.t, segmentation)
     out = []
     for s in segmentation.stops:

@@ -11,6 +11,7 @@ from ...maths import rotation
 from ...maths.propagation import run_steps
 from ...mounting import find_mounting, upright
 from ...nodes import Nodes
+from ...nodes.field import field_doubts
 from ...nodes.noise import clipped_density
 from ...nodes.observations import at_stop
 from ...records import Array, Warn
@@ -31,6 +32,7 @@ ACCEL_FLOOR, ACCEL_SHARE = 0.05, 0.03  # m/s^2/sqrt(Hz) in motion where no densi
 SCALE_SIGMA = 5e-3
 FIELD_S = 5.0  # a disturbed field stays so
 OFFSET_SHARE, OFFSET_SHARE_NO_REST, IRON_SHARE = 0.1, 0.02, 0.007  # of the field
+LEVEL_SHARE = 0.5  # of the field that is level: iron turns heading by its share of that
 REST_FLOOR, PLACE_SHARE, MOTION_FLOOR = 0.003, 0.01, 0.01  # of the field
 MAD = 1.4826
 SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
@@ -100,8 +102,9 @@ def assemble(
         field = _field_at_nodes(drive, nodes, q, bias)
         norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
         offset = OFFSET_SHARE if at_rest else OFFSET_SHARE_NO_REST
+        turned, _ = field_doubts(drive.log.fixes["magnetometer"], drive.log, drive.segmentation, drive.world)
         states += [
-            State("hard iron", 3, IRON_SHARE * norm), State("earth field", 2, 0.3 * norm),
+            State("hard iron", 3, max(IRON_SHARE, LEVEL_SHARE * turned) * norm), State("earth field", 2, 0.3 * norm),
             State("motion offset", 3, offset * norm),
         ]  # fmt: skip
     aids += _seen(nodes)
