@@ -33,7 +33,6 @@ from attest_cli.records import Log, Segmentation  # noqa: E402
 from attest_cli.segment import find_segments  # noqa: E402
 from attest_cli.simulate import RoverOptions, simulate_rover  # noqa: E402
 from attest_cli.simulate.rover import ORIGIN, rover_drive  # noqa: E402
-from attest_cli.smoothers import SMOOTHERS  # noqa: E402
 
 Array = NDArray[np.float64]
 OUTAGE_S = 60.0
@@ -48,10 +47,12 @@ ROWS = {
 }
 
 
-def solved(options: RoverOptions, *, outage: bool) -> tuple[Log, Segmentation, Estimate, float]:
-    """Return a drive smoothed, and the middle of its outage."""
+def solved(
+    options: RoverOptions, *, outage: bool, smoother: str = "two-filter"
+) -> tuple[Log, Segmentation, Estimate, float]:
+    """Return a drive smoothed (``none``: forward only), and the middle of its outage."""
     made = simulate_rover(options)
-    settings = effective(made, {"smoothing": {"filter": "navigation"}})
+    settings = effective(made, {"smoothing": {"filter": "navigation", "smoother": smoother}})
     log = prepare([made.log], settings)
     segmentation = find_segments(log, settings)
     motion = segmentation.motions[0]
@@ -81,7 +82,7 @@ def row(options: RoverOptions, *, outage: bool) -> list[float]:
             for m in segmentation.motions]  # fmt: skip
     moved = np.array([np.linalg.norm(error[b] - error[a]) for a, b in ends])
     length = [np.sum(np.linalg.norm(np.diff(truth.position_n[a : b + 1], axis=0), axis=1)) for a, b in ends]
-    ahead = SMOOTHERS["none"](est.forward)
+    ahead = solved(options, outage=outage, smoother="none")[2].smoothed if outage else found
     assert ahead.p is not None
     k = int(np.searchsorted(found.t, middle))
     late = truth.position_n[k] - (begin if options.gps else truth.position_n[0]) - ahead.p[k]
