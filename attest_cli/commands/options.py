@@ -141,7 +141,7 @@ Columns = Annotated[
     ),
 ]
 TimeUnit = Annotated[
-    Literal["s", "ms", "us", "ns"] | None, of(READ, "--time-unit", "Of the time column of a text log.")
+    Literal["s", "ms", "us", "ns", "min", "h", "d"] | None, of(READ, "--time-unit", "Of the time column of a text log.")
 ]
 SampleRate = Annotated[
     float | None,

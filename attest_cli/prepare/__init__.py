@@ -10,7 +10,7 @@ from ..records import Fixes, Log, Recording, Warn
 from ..settings import Settings
 from . import axes, course, quaternions
 from .clock import seconds
-from .epochs import one_clock
+from .epochs import INERTIAL, one_clock
 from .fixes import Span, fixes_of
 from .imu import ImuRows, imu_rows
 from .roles import Cast, choose, told
@@ -19,7 +19,6 @@ from .stuck import unchanging
 __all__ = ["choose", "prepare"]
 
 TURNING_RAD_S, FEW = 0.01, 10  # rms rate of an IMU that turns; measurements that show whether a sensor changes
-INERTIAL = frozenset({"imu", "gyro", "accel"})
 
 
 def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool = False) -> Log:
@@ -48,12 +47,11 @@ def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool 
     """
     files = ", ".join(recording.source.name for recording in recordings)
     cast = choose(recordings, settings)
-    if len(recordings) > 1:
-        one_clock(cast.channels, recordings)
+    apart = one_clock(cast.channels, recordings) if len(recordings) > 1 else []
     parts = [cast.channels["imu"]] if "imu" in cast.channels else [cast.channels["gyro"], cast.channels["accel"]]
     rows = imu_rows(files, parts, settings, spent=spent)
     span = Span(rows.t0_ns, int(rows.stamps_ns[0]), int(rows.stamps_ns[-1]), settings.time.max_gap_s)
-    warnings = [*told(recordings), *cast.warnings, *rows.warnings]
+    warnings = [*told(recordings), *cast.warnings, *apart, *rows.warnings]
     fixes = _fixes(cast, span, settings, warnings)
     fixes = _changing(fixes, rows, warnings)
     warnings += course.doubts(fixes, rows.imu)

@@ -8,41 +8,62 @@ from itertools import pairwise
 import numpy as np
 
 from ..errors import AttestError
-from ..records import Channel, Recording
+from ..records import Channel, Recording, Warn
 
 SET_NS = 100_000_000 * 1_000_000_000
 """A step by more than these three years is no pause: the clock was set, or it is another one."""
 DATES_NS = (631_152_000_000_000_000, 4_102_444_800_000_000_000)
 """1990 to 2100: stamps that are a date."""
+INERTIAL = frozenset({"imu", "gyro", "accel"})
 HOUR_S, FARTHEST_H = 3600.0, 14  # to which clocks are set; time zones
+AWAY_NS = FARTHEST_H * 3600 * 1_000_000_000
+"""What misses the IMU's time by more is no neighbour in time, nor in another zone."""
 
 WAY_OUT = "write both with the stamps of one clock; of messages --time log takes the recorder's"
 
 Part = tuple[Recording, int, int]  # a file, the first and the last stamp of a channel in it
 
 
-def one_clock(cast: Mapping[str, Channel], recordings: Sequence[Recording]) -> None:
-    """Refuse files whose clocks have nothing in common.
+def one_clock(cast: Mapping[str, Channel], recordings: Sequence[Recording]) -> list[Warn]:
+    """Refuse files whose clocks have nothing in common; tell of a file that adds nothing to a sensor of several.
+
+    A single sensor without overlap is left out, and told, where it is read.
 
     Raises
     ------
     AttestError
-        If a channel in use has no measurement in the time of the IMU, which another file holds, or if parts of the
-        IMU are years apart.
+        If gyro and accelerometer share no time, parts of the IMU are years apart, or all other sensors miss the IMU's
+        time and one of another file does so by more than time zones.
     """
-    base = _parts(cast["imu" if "imu" in cast else "gyro"], recordings)
+    inertial = [_parts(cast[role], recordings) for role in ("imu", "gyro", "accel") if role in cast]
+    base = inertial[0] if inertial else []
     if not base:
-        return
+        return []
     for a, b in pairwise(sorted(base, key=lambda part: part[1])):
         if b[1] - a[2] > SET_NS:
             raise AttestError(f"{_spoken(a)}, {_spoken(b)}: these are two clocks", WAY_OUT)
     first, last = min(part[1] for part in base), max(part[2] for part in base)
-    for role, channel in cast.items():
-        parts = _parts(channel, recordings)
-        inside = any(start <= last and end >= first for _, start, end in parts)
-        if parts and not inside and not any(part[0] is file[0] for part in parts for file in base):
-            message = f"{_spoken(base[0])}, {_spoken(parts[0])}: nothing of the {role} lies in the time of the IMU"
-            raise AttestError(message, WAY_OUT)
+    aids = {role: _parts(channel, recordings) for role, channel in cast.items() if role not in INERTIAL}
+    missed = {role: [max(part[1] - last, first - part[2]) for part in parts] for role, parts in aids.items() if parts}
+    if "accel" in cast and (accel := inertial[-1]) and all(a[1] > last or a[2] < first for a in accel):
+        raise AttestError(_apart(base[0], accel[0], "accel"), WAY_OUT)
+    away = [
+        (role, part)
+        for role, misses in missed.items()
+        for part, miss in zip(aids[role], misses, strict=True)
+        if miss > AWAY_NS and all(part[0] is not own[0] for own in base)
+    ]
+    if away and min(map(min, missed.values())) > 0:
+        raise AttestError(_apart(base[0], away[0][1], away[0][0]), WAY_OUT)
+    return [
+        Warn("no-overlap", f"{_apart(base[0], part, role)}: not used", WAY_OUT)
+        for role, part in away
+        if min(missed[role]) <= 0
+    ]
+
+
+def _apart(base: Part, other: Part, role: str) -> str:
+    return f"{_spoken(base)}, {_spoken(other)}: nothing of its {role} lies in the time of the IMU"
 
 
 def whole_hours(step_s: float, period_s: float) -> int:

@@ -13,12 +13,12 @@ from ..settings import Settings
 from ..settings.units import unit
 from . import places, units
 from .clock import in_order, seconds
+from .lost import LARGEST
 
 STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
 
 GPS_SIGMA_M = 3.0  # where nothing is stated
-LARGEST = 1e12  # a raw value beyond this is a damaged number
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
 DRIVING_M_S, SIDEWAYS, NOISY = 0.1, 3.0, 6.0
 CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})

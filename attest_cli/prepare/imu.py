@@ -15,7 +15,7 @@ from ..settings import Settings
 from . import axes, clipping, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .epochs import HOUR_S, SET_NS, whole_hours
-from .fixes import LARGEST
+from .lost import LARGEST
 from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
 MIN_ROWS = 50

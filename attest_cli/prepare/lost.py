@@ -4,9 +4,11 @@ many samples where none are lost.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ..records import Array, Ints
+from ..records import Array, Bools, Ints
 
 MISSING = 1.5  # periods: a longer step has lost a sample
 AROUND_S = 3.0  # the drive is alike so near to a hole
@@ -14,9 +16,17 @@ EVEN = 0.25  # of its length: a stretch without a hole keeps its time
 FEW = 10  # stretches that tell nothing: all of the log is asked
 
 WHOLE = 0.25  # of a period: steps over lost samples are so near to a multiple of it; those of a poor clock are not
+SINGLE = (0.6, 1.5)  # periods: the step between two samples of which none between is lost
+TELLING, SHORT, MOST = 0.4, 0.05, 2.2  # share of single steps, of shorter ones at most; periods a step in the mean
+OTHER_RATE, RATES = 20, 3  # steps in a row of which none is single; rates beside the usual one
+PAUSES, EQUAL = 0.95, 0.05  # share of steps up to a pause between bursts; by which pauses differ
+SHORTEST = 0.2  # share of the steps: one of those is single
+APART, UNEVEN = 1.7, 0.25  # periods by which runs differ; of their spread if steps fall as they like: ticks fall evenly
+LONGEST = 3.0  # periods: longer steps are too few for a spread
+SAME, EXACT = 0.98, 1e-3  # share of lost samples that come in turn; of a rate
+USUAL_HZ = (20, 25, 40, 50, 60, 80, 100, 125, 200, 250, 400, 500, 1000)  # to which IMUs are set
 RUN, FULLEST = 150, 0.05  # samples; share of the runs of so many that are taken to be whole
-ALIKE, FULL = 0.98, 0.04  # share of steps that agree; how far the fullest runs may be off where few samples are lost
-SPREAD = 2.5  # periods: runs of as many samples differ by more where many are lost
+LARGEST = 1e12  # a raw value beyond this is a damaged number
 SENTINELS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2147483647.0, 2147483648.0)
 SENTINEL_SHARE, SENTINEL_FACTOR = 0.01, 20.0  # of the rows; times the 99th percentile of the others
 
@@ -25,41 +35,81 @@ def missing(stamps_ns: Ints, longest_s: float, dropped: int = 0) -> float:
     """Return the share of samples that are lost in short holes, but for those that were ``dropped`` on the way.
 
     A hole is a step near to two or more periods. A clock that is late once, and early after it, has lost nothing: the
-    time that goes beyond one period a step, over all short steps, must be as long. The share is too low rather than too
-    high where stamps are rounded to ticks of about a period: lost samples then hide in them.
+    time that goes beyond one period a step, over all short steps, must be as long. The share is rough where
+    stamps are rounded to ticks of half a period or more: lost samples hide in them, and doubled ticks look lost.
     """
     step = np.diff(stamps_ns) * 1e-9
     usual = float(np.median(step)) if step.size else 0.0
     short = step[step <= max(longest_s, MISSING * usual)]
-    period = _period(short)
-    if period <= 0.0 or not np.any(short > MISSING * period):
+    if not np.any(short > MISSING * np.quantile(short, SHORTEST) if short.size else False):
+        return 0.0  # of nearly every log, at no cost
+    lost = max(_lost(short) - dropped, 0.0)
+    return lost / (stamps_ns.size + lost)
+
+
+def _lost(steps: Array, rates: int = RATES) -> float:
+    """Return how many samples are lost within ``steps``; stretches of other ``rates`` are asked on their own."""
+    period = _period(steps)
+    if period <= 0.0 or not np.any(steps > MISSING * period):
         return 0.0
-    count = np.rint(short / period) - 1.0
-    uneven = np.abs(short[short <= MISSING * period] - period)
-    near = max(WHOLE * period, float(np.quantile(uneven, 0.9)) if uneven.size else 0.0)
-    holes = (short > MISSING * period) & (np.abs(short - (count + 1.0) * period) < near)
-    lost = min(float(count[holes].sum()), float(short.sum()) / period - short.size) - dropped
-    return max(lost, 0.0) / (stamps_ns.size + max(lost, 0.0))
+    single = (steps > SINGLE[0] * period) & (steps < SINGLE[1] * period)
+    other = _in_runs(~single, OTHER_RATE)
+    if other.any() and rates:
+        return sum(_lost(steps[rows], rates - 1) for rows in (~other, other) if rows.any())
+    count = np.rint(steps / period) - 1.0
+    uneven = np.abs(steps[steps <= MISSING * period] - period)
+    near = max(WHOLE * period, 2.0 * float(np.quantile(uneven, 0.9)) if uneven.size else 0.0)
+    holes = (steps > MISSING * period) & (np.abs(steps - (count + 1.0) * period) < near)
+    return max(min(float(count[holes].sum()), float(steps.sum()) / period - steps.size), 0.0)
+
+
+def _in_runs(rows: Bools, least: int) -> Bools:
+    """Tell the rows that hold in a run of at least so many."""
+    starts = np.append(0, np.flatnonzero(rows[1:] != rows[:-1]) + 1)
+    lengths = np.diff(np.append(starts, rows.size))
+    return rows & np.repeat(lengths >= least, lengths)
 
 
 def _period(steps: Array) -> float:
     """Return the time between samples of which none is lost.
 
-    Rounded stamps step by a tick or two, and the median of that is no period: the fullest runs of many samples tell it,
-    but too long where samples are lost in every run; there steps that agree tell it better.
+    Single steps tell it where most are alike and the others are holes. Steps of a clock's ticks and of bursts are no
+    periods: there the fullest runs of many samples tell it.
     """
-    run = min(RUN, steps.size // 4)
-    if not run:
-        return float(np.median(steps)) if steps.size else 0.0
+    if not steps.size:
+        return 0.0
+    period = float(np.quantile(steps, SHORTEST))
+    for low, high in ((SINGLE[0], 1.6), SINGLE, SINGLE, (0.5, 1.5)):  # two and three ticks are single, too
+        single = (steps > low * period) & (steps < high * period)
+        period = float(steps[single].mean()) if single.any() else 0.0
+    mine = ~_in_runs(~single, OTHER_RATE)  # the others have another rate
+    run = min(RUN, int(np.count_nonzero(mine)) // 4)
+    if not run or not period:
+        return float(np.median(steps))
+    steps, single = steps[mine], single[mine]
     t = np.concatenate([[0.0], np.cumsum(steps)])
-    full, middle = np.quantile(t[run:] - t[:-run], (FULLEST, 0.5))
-    period = float(full) / run
-    whole = steps[steps < MISSING * period]
-    alike = whole[np.abs(whole - period) < WHOLE * period]
-    lossy = middle - full > SPREAD * period  # ticks fall evenly, lost samples do not
-    if alike.size > ALIKE * whole.size and (lossy or abs(float(alike.mean()) / period - 1.0) < FULL):
-        return min(period, float(alike.mean()))
-    return period
+    full, middle = (float(x) for x in np.quantile(t[run:] - t[:-run], (FULLEST, 0.5)))
+    spread = math.sqrt(run) * float(np.minimum(steps, LONGEST * period).std())  # of runs whose steps fall as they like
+    uneven = middle - full > max(UNEVEN * spread, APART * period) or _in_turn(steps, period)
+    few = np.count_nonzero(steps <= SINGLE[0] * period) < SHORT * steps.size
+    bursts = steps.mean() >= MOST * period
+    if uneven and few and single.mean() > TELLING and not bursts:
+        return period
+    if bursts and middle - full <= (1.0 + EQUAL) * float(np.quantile(steps, PAUSES)):
+        return float(steps.mean())  # runs differ by one pause
+    return max(full / run, period if few else float(np.median(steps)))
+
+
+def _in_turn(steps: Array, period: float) -> bool:
+    """Tell whether each so many-th sample is lost.
+
+    Steps of a clock's ticks would do so too, were the sensor's own clock exact. It is in logs that are made; their rate
+    tells.
+    """
+    apart, rate = np.diff(np.flatnonzero(steps > MISSING * period)), 1.0 / float(steps.mean())
+    if not apart.size or np.count_nonzero(apart == np.median(apart)) < SAME * apart.size:
+        return False
+    return all(abs(rate / hz - 1.0) > EXACT for hz in USUAL_HZ)
 
 
 def without_sentinels(values: Array) -> tuple[Array, str]:

@@ -28,7 +28,10 @@ def refuse(name: str, t: Array, gyro: Array, accel: Array) -> None:
     rows = np.unique(np.linspace(0, len(t) - SAMPLES, PLACES).astype(np.int64))[:, None] + np.arange(SAMPLES)
     rough, rougher = (np.sum(np.diff(gyro[rows], k, axis=1) ** 2, axis=(1, 2)) / (SAMPLES - k) for k in (1, 2))
     shaken = np.sum(np.diff(accel[rows], axis=1) ** 2, axis=(1, 2))
-    still = (shaken < CALM**2 * shaken.min()) & (rougher > WHITE * rough) & (rough > 0.0)
+    if not shaken.any():
+        return
+    calm = shaken < CALM**2 * shaken[shaken > 0.0].min()  # a coarse accelerometer says nothing new in some
+    still = calm & (rougher > WHITE * rough) & (rough > 0.0)
     level, at = 0.5 * np.log(rough[still]), t[rows[still, 0]]
     if len(level) < 2 * FEW:
         return

@@ -22,7 +22,7 @@ from .columns import Column, recognise
 from .dialect import BLANKS, NUMBER, Dialect, cells_of, decimal_of, head_lines, layout, sniff
 from .stamps import taken_unit
 from .tables import MAX_BAD_SHARE, WRITTEN, Layout, check_size, layout_of, recording_of
-from .text_numbers import plain, told_grouped
+from .text_numbers import plain
 from .text_stamps import stamps_of
 from .written_times import kind_of
 
@@ -64,7 +64,7 @@ def columns_of(path: Path, dialect: Dialect, settings: Settings) -> Layout:
     return layout_of(path, dialect.names, dialect.units, settings.table, rate_hz=rate, recorder=recorder)
 
 
-def _timed(layout: Layout, table: pa.Table) -> Layout:
+def timed(layout: Layout, table: pa.Table) -> Layout:
     """Say in the layout whether its times are written as such, and take the date only where it belongs to them."""
 
     def kind(column: Column | None) -> str:
@@ -90,7 +90,7 @@ def _recording(path: Path, dialect: Dialect, settings: Settings, rows: bytes | N
     if len(bad) > MAX_BAD_SHARE * (columns.num_rows + len(bad)) and len(bad) > 1:
         message = f"{path}: {len(bad)} rows have not the {len(dialect.names)} cells of the header: {bad[0][1][:60]!r}"
         raise AttestError(message, "make it one table with one header; --columns names rows of several types")
-    layout = _timed(layout, columns)
+    layout = timed(layout, columns)
     if bad:
         cells = f"{len(dialect.names)} cells, the first: {bad[0][1][:60]!r}"
         message = f"{path.name}: {len(bad)} rows skipped that have not {cells}"
@@ -183,8 +183,8 @@ def _table(text: _Text, bad: list[tuple[int | None, str]]) -> tuple[pa.Table, tu
         ) from None
     told: list[Warn] = []
     for column in text.layout.columns:
-        cells, grouped = plain(table.column(str(column.index)), text.dialect.decimal)
-        told += told_grouped(path, column.name, grouped)
+        cells, grouped = plain(path, column.name, table.column(str(column.index)), text.dialect.decimal)
+        told += grouped
         number = pc.fill_null(pc.match_substring_regex(cells, rf"(?i)^({NUMBER.pattern})$"), fill_value=False)
         number = pc.and_(number, pc.invert(pc.fill_null(pc.match_substring(cells, ","), fill_value=False)))
         wrong = pc.filter(table.column(str(column.index)), pc.and_(pc.is_valid(cells), pc.invert(number)))

@@ -19,8 +19,9 @@ DELIMITERS = {"tab": "\t", ";": ";", ",": ",", "space": " "}
 
 BLANKS = ["", "NaN", "nan", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None", "--", "-"]
 _DATE = r"(?P<a>\d{1,4})(?P<mark>[-/.])(?P<b>\d{1,2}|[A-Za-z]{3,9})[-/.](?P<c>\d{1,4})"
-_CLOCK = r"(?:(?P<hour>\d{1,2}):)?(?P<minute>\d{1,2}):(?P<second>\d{2})(?:[.,](?P<fraction>\d+))?"
-_ZONE = r"(?:\s?(?P<half>[AaPp])\.?[Mm]\.?)?(?:\s?(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?))?"
+_CLOCK = r"(?:(?P<hour>\d{1,2}):)?(?P<minute>\d{1,3}):(?P<second>\d{2})(?:[.,](?P<fraction>\d+))?"
+_BLANK = "[\\s\u00a0\u202f]?"  # Arrow's \s is ASCII only
+_ZONE = rf"(?:{_BLANK}(?P<half>[AaPp])\.?{_BLANK}[Mm]\.?)?(?:\s?(?P<zone>Z|UTC|GMT|[-+]\d{{2}}(?::?\d{{2}})?))?"
 TIME = re.compile(rf"^\s*(?:{_DATE}(?:T|,?\s+|$))?(?:{_CLOCK}{_ZONE})?\s*$")
 """A date, a time of day, or both."""
 NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)

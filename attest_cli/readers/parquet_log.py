@@ -17,7 +17,7 @@ from . import stamps
 from .arrow import is_number, numbers
 from .columns import Column
 from .tables import WRITTEN, Layout, check_size, layout_of, recording_of
-from .text_stamps import Stamps, at_rate, unwrapped
+from .text_stamps import Stamps, at_rate, refuse_unreadable, unwrapped
 from .written_times import kind_of, parse
 
 NS_PER_S = 1_000_000_000
@@ -44,7 +44,7 @@ def read(path: Path, settings: Settings) -> Recording:
         raise AttestError(
             f"{path}: damaged Parquet: {reason}", "copy it again; a damaged page cannot be mended"
         ) from None
-    return recording_of(path, "parquet", layout, values, lambda imu_rows: _stamps(path, layout, times, imu_rows, day))
+    return recording_of(path, "parquet", layout, values, lambda imu_rows: stamps_of(path, layout, times, imu_rows, day))
 
 
 class Columns(Mapping[int, Array]):
@@ -127,8 +127,8 @@ def _floats(path: Path, name: str, column: pa.ChunkedArray) -> Array:
     return np.asarray(numbers(cast), dtype=np.float64)
 
 
-def _stamps(
-    path: Path, layout: Layout, times: Mapping[int, pa.ChunkedArray], imu_rows: Bools, day_first: bool | None
+def stamps_of(
+    path: Path, layout: Layout, times: Mapping[int, pa.ChunkedArray], imu_rows: Bools, day_first: bool | None = None
 ) -> Stamps:
     """Return the time of the rows; whole seconds in a column of their own are added to a time within the second."""
     if layout.rate_hz is not None:
@@ -167,7 +167,10 @@ def _of_column(path: Path, time: Column, column: pa.ChunkedArray, imu_rows: Bool
     if pa.types.is_time(kind):
         column = column.cast(pa.string())
     if pa.types.is_string(column.type) or pa.types.is_large_string(kind):
-        return (*parse(path, time.name, column.cast(pa.string()), day_first=day_first), ())
+        text = column.cast(pa.string())
+        found, valid = parse(path, time.name, text, day_first=day_first)
+        refuse_unreadable(path, time.name, text, valid)
+        return found, valid, ()
     if pa.types.is_timestamp(kind):
         return (*stamps.from_dates(column), ())
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):

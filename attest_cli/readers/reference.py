@@ -19,13 +19,15 @@ from ..errors import AttestError
 from ..evaluate.records import Claims, Poses
 from ..maths import rotation
 from ..records import Array, Bools, Ints, Result, Warn
+from ..settings.table import Table as TableSettings
 from ..settings.units import unit
-from . import format_of, pose_messages, stamps
+from . import format_of, parquet_log, pose_messages, text_stamps
 from .columns import recognise, time_column, words_of
-from .csv_log import BLANKS, sniff
+from .csv_log import BLANKS, sniff, timed
+from .dialect import Dialect
 from .result import read_result
-from .tables import check_size
-from .written_times import kind_of, parse
+from .tables import MAX_BAD_SHARE, check_size, times_of
+from .text_numbers import plain
 
 ATTITUDE, POSITION = ("q_w", "q_x", "q_y", "q_z"), ("position_x", "position_y", "position_z")
 SIGMAS = (
@@ -42,7 +44,6 @@ TRACKS = ("parquet", "csv", "mcap", "tum")
 
 HEADINGS = ("absolute", "magnetic", "relative")
 NORM_TOLERANCE = 0.01  # a quaternion further from unit length is none
-MAX_BAD_SHARE = 0.01
 HINT = (
     "a reference has timestamp_ns (or time in s) with q_w,q_x,q_y,q_z, position_x_m,position_y_m,position_z_m or both"
 )
@@ -53,13 +54,14 @@ _COMMENT = re.compile(r"\s*#\s*([a-z0-9_]+):\s*(.*)")
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns as found, with the facts written beside them; ``kind`` as in ``Poses``."""
+    """Columns as found, with the facts written beside them; ``kind`` as in ``Poses``, ``dialect`` of text."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     columns: pa.Table
     facts: Mapping[str, str]
     kind: str
+    dialect: Dialect | None = None
 
 
 def read_poses(path: Path, channel: str | None = None) -> Poses:
@@ -141,12 +143,10 @@ def _text(path: Path) -> Table:
     """Read a table with a header; every cell as text."""
     dialect = sniff(path)
     columns = _cells(path, path, dialect.delimiter, dialect.names, dialect.skip)
-    if dialect.decimal == ",":
-        columns = pa.table({n: pc.replace_substring(columns[n], ",", ".") for n in columns.column_names})
     facts = _comments(path)
     euroc = any("p_RS_R" in name or "q_RS" in name for name in dialect.names)
     kind = "track" if "attest_version" in facts else "euroc" if euroc else "table"
-    return Table(tuple(dialect.names), tuple(dialect.units), columns, facts, kind)
+    return Table(tuple(dialect.names), tuple(dialect.units), columns, facts, kind, dialect)
 
 
 def _cells(path: Path, source: Path | io.BytesIO, delimiter: str, names: Sequence[str], skip: int) -> pa.Table:
@@ -182,7 +182,8 @@ def _tum(path: Path) -> Table:
     if any(line.startswith("# no position") for line in lines):  # attest writes zeros where it has none
         columns = columns.select([k for k in columns.column_names if TUM[int(k)] not in POSITION])
     names = [TUM[int(k)] for k in columns.column_names]
-    return Table(tuple(names), ("s", *("",) * (len(names) - 1)), columns, facts, "tum")
+    units = ("s", *("",) * (len(names) - 1))
+    return Table(tuple(names), units, columns, facts, "tum", Dialect(" ", ".", 0, names, list(units), []))
 
 
 def _comments(path: Path) -> dict[str, str]:
@@ -200,15 +201,16 @@ def _comments(path: Path) -> dict[str, str]:
 
 def _poses(path: Path, table: Table) -> Poses:
     """Find the columns of a track by name, and read them."""
-    time = time_column(table.names, table.units)
-    if time is None:
+    if time_column(table.names, table.units) is None:
         raise AttestError(f"{path}: no time column among {_some(table.names)}", HINT)
     chosen = _choose(path, table)
     if not chosen:
         raise AttestError(f"{path}: no attitude and no position among {_some(table.names)}", HINT)
-    stamps_ns, known = _stamps(path, table.columns.column(time.index), time.unit)
+    stamps_ns, known, told = _stamps(path, table)
+    sigmas = [k for k, name in enumerate(table.names) if name in SIGMAS]
+    table, separated = _plain(path, table, [*(index for index, _ in chosen.values()), *sigmas])
     floats = {name: _floats(path, table, index) * scale for name, (index, scale) in chosen.items()}
-    exact = {name: _floats(path, table, k) for k, name in enumerate(table.names) if name in SIGMAS}
+    exact = {table.names[k]: _floats(path, table, k) for k in sigmas}
     moving = next((_bools(path, table, k) for k, name in enumerate(table.names) if name.strip() in MOVING), None)
     order = np.argsort(stamps_ns, kind="stable")
     order = order[known[order]]
@@ -221,7 +223,9 @@ def _poses(path: Path, table: Table) -> Poses:
         moving=None if moving is None else moving[keep],
         heading=facts.get("heading", "") if facts.get("heading", "") in HEADINGS else "", shared_world=plain,
         claims=_claims(stamps_ns[keep], {name: v[keep] for name, v in exact.items()}),
-        warnings=_left_out(path, stamps_ns.size - keep.size, in_order=bool(np.all(np.diff(order) > 0))),
+        warnings=(
+            *told, *separated, *_left_out(path, stamps_ns.size - keep.size, in_order=bool(np.all(np.diff(order) > 0)))
+        ),
     )  # fmt: skip
     return _finished(path, poses, ned=facts.get("frame", "").upper().startswith("NED"))
 
@@ -290,29 +294,27 @@ def _bools(path: Path, table: Table, index: int) -> Bools:
     return np.asarray(np.nan_to_num(_floats(path, table, index)) != 0.0, dtype=np.bool_)
 
 
-def _stamps(path: Path, column: pa.ChunkedArray, stated: str) -> tuple[Ints, Bools]:
-    """Return stamps in ns and where they are known; without a unit: dates by their size, else seconds."""
-    kind = column.type
-    is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
-    if is_text:
-        first = next((cell.as_py() for cell in column if cell.is_valid), "")
-        if kind_of(first):
-            stamps_ns, valid = parse(path, "time", column.cast(pa.string()))
-            return stamps_ns, np.isfinite(valid)
-    if pa.types.is_timestamp(column.type):
-        stamps_ns, valid = stamps.from_dates(column)
-        return stamps_ns, np.isfinite(valid)
-    if not (is_text or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-        raise AttestError(f"{path}: the time column is of type {kind}", stamps.WAY_OUT)
-    if stated not in stamps.DIGITS:
-        number = pc.match_substring_regex(column, stamps.NUMBER) if is_text else None
-        text = column if number is None else pc.if_else(number, column, pa.scalar(None, pa.string()))
-        raw = np.asarray(pc.cast(text, pa.float64()).to_numpy(), dtype=np.float64)
-        stated, _ = stamps.guess_unit(raw, imu=False, path=path)
-    stamps_ns, valid = (
-        stamps.from_text(column, stated, path) if is_text else stamps.from_numbers(column.to_numpy(), stated)
-    )
-    return stamps_ns, np.isfinite(valid)
+def _stamps(path: Path, table: Table) -> tuple[Ints, Bools, tuple[Warn, ...]]:
+    """Return stamps in ns, where they are known, and what should be known of them: as the readers of logs read them."""
+    layout, every = times_of(path, table.names, table.units, TableSettings()), np.zeros(table.columns.num_rows, bool)
+    if table.dialect is not None:
+        layout = timed(layout, table.columns)
+        stamps_ns, valid, told = text_stamps.stamps_of(path, table.dialect, layout, table.columns, every)
+    else:
+        times = {column.index: table.columns.column(column.index) for column in layout.times}
+        stamps_ns, valid, told = parquet_log.stamps_of(path, layout, times, every)
+    return stamps_ns, np.isfinite(valid), told
+
+
+def _plain(path: Path, table: Table, indices: Sequence[int]) -> tuple[Table, tuple[Warn, ...]]:
+    """Return columns of text as plain numbers, and say which had thousands separators."""
+    columns, told = table.columns, tuple[Warn, ...]()
+    if table.dialect is None:
+        return table, ()
+    for index in indices:
+        cells, grouped = plain(path, table.names[index], columns.column(index), table.dialect.decimal)
+        columns, told = columns.set_column(index, columns.column_names[index], cells), told + grouped
+    return replace(table, columns=columns), told
 
 
 def _stack(columns: Mapping[str, Array], names: Sequence[str], rows: int) -> Array:

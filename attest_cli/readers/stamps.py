@@ -19,13 +19,17 @@ EPOCH_S = (6.3e8, 4.1e9)  # 1990 to 2100: seconds that are a date
 PERIOD_S = (1e-4, 1.0)  # periods an IMU can have
 OTHER_PERIOD_S = (1e-3, 3600.0)  # periods other sensors can have
 LONGEST_STEP_S = 90.0  # a sensor without a unit of time that steps by more counts no seconds
-LONG_UNITS_S = {"d": 86_400.0, "h": 3600.0, "min": 60.0}
-SERIAL_DAYS = {25_569: (2e4, 8e4), 719_529: (7.1e5, 7.7e5)}
+LONG_UNITS_S = {"min": 60.0, "h": 3600.0, "d": 86_400.0}
+SERIAL_DAYS = {25_569: (25_569.0, 8e4), 719_529: (719_529.0, 7.7e5)}
 """Days from the origin of a spreadsheet's or Matlab's calendar to 1970 -> days that are a date in it."""
+SHORTEST_S = {True: PERIOD_S[0], False: 4e-4}  # of an IMU or not: shorter steps are none in seconds
+HOURS_PERIOD_S = {True: 2e-3, False: 0.05}  # of an IMU or not: shorter ones are no sensor's, if hours are counted
 NUMBER = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$"
 """Text that is a stamp."""
 
-WAY_OUT = 'name the unit in the header: "timestamp_ns", "time [ms]", "t_us"; for a text log also with --time-unit'
+WAY_OUT = (
+    'name the unit in the header: "timestamp_ns", "time [ms]", "t_us", "t [h]"; for a text log also with --time-unit'
+)
 
 
 def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, ...]]:
@@ -41,6 +45,9 @@ def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, .
     finite = raw[np.isfinite(raw)]
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    if _on_a_clock(finite, steps):
+        message = f"{path}: the time column counts hours, minutes and seconds in one number (hhmmss), not seconds"
+        raise AttestError(message, 'write times as 10:00:45.000; if they are seconds, name the column "time [s]"')
     dated = _fitting(float(np.median(finite)), EPOCH_S) if finite.size else []
     if imu:
         found = _fitting(step, PERIOD_S)
@@ -61,29 +68,39 @@ def guess_unit(raw: Array, *, imu: bool, path: Path) -> tuple[str, tuple[Warn, .
 
 
 def in_days(raw: Array, unit: str, *, imu: bool, path: Path) -> tuple[float, int, tuple[Warn, ...]] | None:
-    """Tell whether a time column counts days, as spreadsheets do: as it states, or if no other unit fits its steps.
+    """Tell whether a time column counts days (hours, minutes): as it states, or days of a calendar by date and steps.
 
     Returns
     -------
     its unit in days, the days before 1970 from which it counts (0: nobody knows), and what should be known; or None
+
+    Raises
+    ------
+    AttestError
+        If no unit is stated and only such long ones fit the steps, but it could be more than days.
     """
     finite = raw[np.isfinite(raw)]
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
     if unit in LONG_UNITS_S and finite.size and unit != "d":
         return LONG_UNITS_S[unit] / LONG_UNITS_S["d"], 0, ()
-    limits = PERIOD_S if imu else OTHER_PERIOD_S
-    fits = 0.0 < step < limits[0] <= step * LONG_UNITS_S["d"] <= limits[1]
+    low, high = PERIOD_S if imu else OTHER_PERIOD_S
+    fits = [name for name, size in LONG_UNITS_S.items() if 0.0 < step < SHORTEST_S[imu] and low <= step * size <= high]
     if not finite.size or not (fits or unit == "d"):
         return None
     middle = float(np.median(finite))
-    since = next((days for days, (low, high) in SERIAL_DAYS.items() if low < middle < high), 0)
+    since = next((days for days, (least, most) in SERIAL_DAYS.items() if least < middle < most), 0)
     if unit == "d" and not since:
         return 1.0, 0, ()
+    if unit != "d" and not (since and "d" in fits and step * LONG_UNITS_S["h"] < HOURS_PERIOD_S[imu]):
+        some = " and ".join(fits)
+        raise AttestError(f"{path}: the unit of time cannot be told: a median step of {step:g} fits {some}", WAY_OUT)
     first = np.datetime64(round((float(finite[0]) - since) * LONG_UNITS_S["d"]), "s")
-    date = f", as spreadsheets do; it begins on {first}".replace("T", " at ") if since else ""
-    message = f"{path.name}: the time column counts days, by its step of {step:g}{date}"
-    return 1.0, since, (Warn("time-unit-guessed", message, WAY_OUT),)
+    date = f"as spreadsheets count days; it begins on {first}".replace("T", " at ")
+    stated, hint = f"states no unit; read as d by its step of {step:g}", WAY_OUT
+    if unit == "d":
+        stated, hint = "is in d", "write times as 2026-06-01T10:00:00.000Z, if that is not their date"
+    return 1.0, since, (Warn("time-unit-guessed", f"{path.name}: the time column {stated}, {date}", hint),)
 
 
 def from_days(values: Array, since: int) -> tuple[Ints, Array]:
@@ -151,6 +168,19 @@ def _low_words(decimal: pa.Array, column: pa.ChunkedArray, path: Path) -> tuple[
         message = f"{path}: stamps beyond the year 2116 in the time column, the first: {str(first)[:40]!r}"
         raise AttestError(message, "is its unit right? Dates are written as 2026-06-01T10:00:00.000Z")
     return np.where(valid, low, 0), np.where(valid, 1.0, np.nan)
+
+
+def _on_a_clock(finite: Array, steps: Array) -> bool:
+    """Tell whether numbers are ``hhmmss``: none ends in 60 to 99, which a count of seconds would pass through."""
+    if not finite.size or finite.min() < 0.0 or finite.max() >= 240_000.0:
+        return False
+    if np.any(finite % 100.0 >= 60.0) or np.any(finite // 100.0 % 100.0 >= 60.0):
+        return False
+    turns = np.diff(finite // 100.0) > 0.0
+    within = steps[~turns & (steps > 0.0)]
+    usual = float(np.median(within)) if within.size else np.inf
+    jumps = np.append(steps[turns] - 40.0, steps[turns] - 4040.0)  # at a minute, at an hour; a pause is of any length
+    return usual < 20.0 and bool(np.any((jumps > 0.0) & (jumps < 5.0 * usual)))  # slower sensors may step over them
 
 
 def _fitting(value: float, limits: tuple[float, float]) -> list[str]:

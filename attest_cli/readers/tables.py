@@ -121,7 +121,7 @@ def layout_of(
         raise AttestError(
             f"{path}: column {twice[0]!r} appears more than once", f"give every column a name of its own; {NAMES_HINT}"
         )
-    time = _time(path, spoken, units, table, rate_hz, recorder=recorder)
+    time = times_of(path, spoken, units, table, rate_hz, recorder=recorder)
     taken = {column.index for column in time.times}
     quantity = bare_quantity(spoken, units, path.stem)
     best: dict[tuple[str, str], Column] = {}
@@ -152,14 +152,16 @@ def _renamed(path: Path, names: Sequence[str], table: Table) -> tuple[list[str],
     return [new.get(name.strip(), name) for name in names], tuple(told)
 
 
-def _time(
-    path: Path, names: Sequence[str], units: Sequence[str], table: Table, rate_hz: float | None, *, recorder: bool
-) -> Layout:
+def times_of(
+    path: Path, names: Sequence[str], units: Sequence[str], table: Table, rate_hz: float | None = None, *,
+    recorder: bool = False,
+) -> Layout:  # fmt: skip
     """Choose what tells the time: a column of stamps, else a counter and a rate."""
     found, counter = time_columns(names, units), counter_column(names)
     dates = [column for column in found if column.canonical in DATES]
     found = [column for column in found if column.canonical not in DATES] or dates
-    fine = not found or found[0].canonical == "sample_time_fine"  # ticks of no fixed length, often left blank
+    # neither ticks of no fixed length, often left blank, nor a date alone tell the time beside a counter
+    fine = not found or found[0].canonical in {"sample_time_fine", *DATES}
     if table.sample_rate_hz or (rate_hz is not None and fine and (counter or not found)):
         return Layout(counter or Column(-1, "", "row", "", "", 0), (), rate_hz=table.sample_rate_hz or rate_hz)
     if not found:

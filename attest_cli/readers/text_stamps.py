@@ -14,7 +14,7 @@ from . import stamps
 from .columns import Column
 from .dialect import Dialect
 from .tables import COUNT_HINT, MAX_BAD_SHARE, WRITTEN, Layout
-from .text_numbers import plain, told_grouped
+from .text_numbers import plain
 from .written_times import parse
 
 Stamps = tuple[Ints, Array, tuple[Warn, ...]]
@@ -51,12 +51,17 @@ def stamps_of(
         time, told = layout.time, tuple[Warn, ...]()
     else:
         time, column, found, valid, told = _numbers(path, dialect, layout, table, imu_rows)
+    refuse_unreadable(path, time.name, column, valid)
+    return found, valid, told
+
+
+def refuse_unreadable(path: Path, name: str, column: pa.ChunkedArray, valid: Array) -> None:
+    """Refuse a time column of text (n,) where no stamp, or too few, are ``valid``."""
     wrong = pc.filter(column, pa.array(np.isnan(valid) & np.asarray(pc.is_valid(column), dtype=np.bool_)))
     if np.all(np.isnan(valid)) or (len(wrong) > MAX_BAD_SHARE * valid.size and len(wrong) > 1):
         first = f" in {len(wrong)} of {valid.size} rows, the first: {wrong[0].as_py()[:40]!r}" if len(wrong) else ""
         hint = f'write a number or ISO 8601, or map another one: --columns "NAME=time [s]"; {COUNT_HINT}'
-        raise AttestError(f"{path}: the time column {time.name!r} holds no readable time{first}", hint)
-    return found, valid, told
+        raise AttestError(f"{path}: the time column {name!r} holds no readable time{first}", hint)
 
 
 def _numbers(
@@ -65,8 +70,8 @@ def _numbers(
     """Read times that are numbers; return the column they stand in, and its text, too."""
     text, told = {}, tuple[Warn, ...]()
     for c in layout.times:
-        text[c.index], grouped = plain(table.column(str(c.index)), dialect.decimal)
-        told += told_grouped(path, c.name, grouped)
+        text[c.index], grouped = plain(path, c.name, table.column(str(c.index)), dialect.decimal)
+        told += grouped
     time = layout.time
     if layout.recorder is not None and _all_zero(text[time.index]):
         time = layout.recorder

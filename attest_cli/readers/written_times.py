@@ -19,16 +19,19 @@ from .tables import WRITTEN
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 DAY_NS, HOUR_NS, MINUTE_NS, SECOND_NS = 86_400_000_000_000, 3_600_000_000_000, 60_000_000_000, 1_000_000_000
 YEARS = (1970, 2115)
+DATES_OUT = "write dates as 2026-06-01; for a log, day_first = true (or false) under [table] of attest.toml"
 WAY_OUT = "write times as 2026-06-01T10:00:00.000Z, or as seconds"
 
 _ISO = re.compile(r"\s*\d{4}-\d\d-\d\d([T ].*)?")
+_COMPACT = re.compile(r"^\s*(\d{4})(\d\d)(\d\d)[T ](\d\d):?(\d\d):?(\d\d)")
+_NEAR = 24  # rows out of order across midnight (the hour) step forward by all but this part of a day (an hour)
 
 
 def kind_of(cell: str) -> str:
     """Tell how a cell is written, one of ``WRITTEN``; empty where it is no date and no time of day."""
     match = TIME.match(cell)
     if match is None:
-        return WRITTEN[0] if _ISO.fullmatch(cell) else ""
+        return WRITTEN[0] if _ISO.fullmatch(cell) or _COMPACT.match(cell) else ""
     return WRITTEN[0] if match["a"] else WRITTEN[1] if match["second"] else ""
 
 
@@ -40,9 +43,10 @@ def parse(path: Path, name: str, column: pa.ChunkedArray, *, day_first: bool | N
     name : str
         Of the column, for messages.
     column : (n,) strings
-        ISO 8601 with or without zone (none is UTC), ``1.6.2026 10:00:00``, ``06/13/2026 10:00:00 AM``,
-        ``01-Jun-2026 10:00:00``, ``10:00:00.123``, ``05:12.3`` (minutes and seconds). Times without a date that step
-        back by more than half a day (hour) have passed midnight (the hour).
+        ISO 8601 with or without zone (none is UTC), ``20260601T100000``, ``1.6.2026 10:00:00``,
+        ``06/13/2026 10:00:00 AM``, ``01-Jun-2026 10:00:00``, ``10:00:00.123``, ``05:12.3`` (minutes and seconds).
+        Times without a date that step back by more than half a day (hour) have passed midnight (the hour); minutes
+        from 60 on are those of a stopwatch.
     day_first : bool, optional
         Whether the day stands before the month in ``01/06/2026``; None: where a number above 12 tells it.
 
@@ -52,6 +56,9 @@ def parse(path: Path, name: str, column: pa.ChunkedArray, *, day_first: bool | N
         If the first cell is no time, has no seconds, or its date can be read in two ways.
     """
     first = next((cell.as_py() for cell in column if cell.is_valid and cell.as_py().strip()), "")
+    if _COMPACT.match(first):
+        column = pc.replace_substring_regex(column, _COMPACT.pattern, r"\1-\2-\3T\4:\5:\6")
+        first = _COMPACT.sub(r"\1-\2-\3T\4:\5:\6", first)
     for zone in ("UTC", None) if _ISO.fullmatch(first) else ():  # fast
         try:
             return from_dates(pc.cast(column, pa.timestamp("ns", zone)))
@@ -62,7 +69,9 @@ def parse(path: Path, name: str, column: pa.ChunkedArray, *, day_first: bool | N
     ns, valid = _of_day(parts)
     ns -= _zone_ns(path, name, parts)
     if not parts.dated.any():
-        ns[valid] = _unwrapped(ns[valid], DAY_NS if parts.number("hour", -1).max() >= 0 else HOUR_NS)
+        with_hours, minutes = parts.number("hour", -1).max() >= 0, parts.number("minute").max()
+        if with_hours or minutes < 60:
+            ns[valid] = _unwrapped(ns[valid], DAY_NS if with_hours else HOUR_NS)
         return ns, np.where(valid, 1.0, np.nan)
     days, known = _days(path, name, parts, day_first)
     valid &= known
@@ -105,7 +114,8 @@ def _of_day(parts: _Parts) -> tuple[Ints, Bools]:
     hour, minute, second = (parts.number(key) for key in ("hour", "minute", "second"))
     half = pc.utf8_lower(parts.text("half"))
     noon, twelve = (np.asarray(pc.equal(half, mark), dtype=np.bool_) for mark in ("p", "a"))
-    valid = (hour < 24) & (minute < 60) & (second <= 60) & (parts.clock | parts.dated)
+    elapsed = (parts.number("hour", -1) < 0) & ~parts.dated & np.asarray(pc.equal(half, ""), dtype=np.bool_)
+    valid = (hour < 24) & ((minute < 60) | elapsed) & (second <= 60) & (parts.clock | parts.dated)
     valid &= ~(noon | twelve) | ((hour >= 1) & (hour <= 12))
     hour = np.where(noon | twelve, hour % 12 + 12 * noon, hour)
     digits = pc.utf8_rpad(pc.utf8_slice_codeunits(parts.text("fraction"), 0, 9), 9, "0")
@@ -136,18 +146,32 @@ def _days(path: Path, name: str, parts: _Parts, day_first: bool | None) -> tuple
     word = pc.utf8_slice_codeunits(pc.utf8_lower(parts.text("b")), 0, 3)
     named = np.asarray(pc.fill_null(pc.index_in(word, pa.array(MONTHS)), -1), dtype=np.int64) + 1
     b = np.where(named > 0, named, b)
-    year_first = parts.dated & (a > 31)
+    lengths = {key: np.asarray(pc.utf8_length(parts.text(key)), dtype=np.int64) for key in "ac"}
+    year_first = parts.dated & ((a > 31) | (lengths["a"] > 2))
     swapped = parts.dated & ~year_first & (named == 0)  # day or month first
+    if day_first is None:
+        _refuse_short_years(path, name, parts, swapped & (lengths["a"] == 2) & (lengths["c"] == 2) & (b <= 12))
     if swapped.any() and not _is_day_first(path, name, parts, a, b, swapped, day_first):
         a, b = np.where(swapped, b, a), np.where(swapped, a, b)
     year, day = np.where(year_first, a, c), np.where(year_first, c, a)
-    year = np.where(year < 100, year + 2000, year)
+    short = np.where(year_first, lengths["a"], lengths["c"]) <= 2
+    year = np.where(short, year + 2000, year)
     valid = parts.dated & (year >= YEARS[0]) & (year <= YEARS[1]) & (b >= 1) & (b <= 12) & (day >= 1)
     months = np.where(valid, (year - 1970) * 12 + b - 1, 0)
     first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     after = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
     valid &= first + day <= after
     return np.where(valid, first + day - 1, 0), valid
+
+
+def _refuse_short_years(path: Path, name: str, parts: _Parts, rows: Bools) -> None:
+    """Refuse dates such as 26-06-13, of which the first part and the last could be the year, in every row."""
+    days = parts.number("c")
+    points = np.asarray(pc.equal(parts.text("mark"), "."), dtype=np.bool_)
+    if rows.any() and np.all((rows & ~points & (days >= 1) & (days <= 31)) | ~parts.dated):
+        a, mark, b, c = (pc.filter(parts.text(key), pa.array(rows))[0].as_py() for key in ("a", "mark", "b", "c"))
+        message = f"{path}: year first or last? The time column {name!r} begins with {a}{mark}{b}{mark}{c}"
+        raise AttestError(message, f"{DATES_OUT} also says that the year is last")
 
 
 def _is_day_first(path: Path, name: str, parts: _Parts, a: Ints, b: Ints, rows: Bools, day_first: bool | None) -> bool:
@@ -159,11 +183,12 @@ def _is_day_first(path: Path, name: str, parts: _Parts, a: Ints, b: Ints, rows: 
     if np.all(a[rows] <= 12) and np.all(b[rows] <= 12):
         cells = (f"{x}/{y}/{z}" for x, y, z in zip(*(parts.text(key).to_pylist() for key in "abc"), strict=True) if x)
         message = f"{path}: day or month first? The time column {name!r} begins with {next(cells)}"
-        raise AttestError(message, "say it in attest.toml: day_first = true (or false) under [table]")
+        raise AttestError(message, f"{DATES_OUT} says it")
     return bool(np.any(a[rows] > 12))
 
 
 def _unwrapped(ns: Ints, period: int) -> Ints:
-    """Add a day (or an hour) where the clock began again; rows out of order across it keep theirs."""
-    turns = -np.rint(np.diff(ns, prepend=ns[:1]) / period).astype(np.int64)
+    """Add a day (or an hour) where the clock began again; rows out of order across it keep theirs, a pause stays."""
+    steps = np.diff(ns, prepend=ns[:1])
+    turns = np.where((steps < 0) | (period - steps < period // _NEAR), -np.rint(steps / period), 0.0).astype(np.int64)
     return ns + period * np.cumsum(turns)

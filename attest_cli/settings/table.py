@@ -31,7 +31,7 @@ class Table(Section):
         None, description="between columns; none: from the first lines"
     )
     decimal: Literal[".", ","] | None = Field(None, description="decimal mark; none: from the first lines")
-    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+    time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] | None = Field(
         None, description="of the time column; none: from its name, else from its steps"
     )
     day_first: bool | None = Field(

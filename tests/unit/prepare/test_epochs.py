@@ -40,7 +40,7 @@ def log_of(*files: Recording) -> Log:
     [
         ((imu("imu.csv", BOOT), gps(UNIX)),
          r"imu.csv spans 100.0 to 110.0 s, gps.csv spans 2026-06-01 10:00:00 to 2026-06-01 10:00:09: .*gps.*; .*clock"),
-        ((imu("imu.csv", UNIX), gps(UNIX + 7200 * S)), "gps.csv spans 2026-06-01 12:00:00 to .* gps lies in"),
+        ((imu("imu.csv", UNIX), gps(UNIX + 86_400 * S)), "gps.csv spans 2026-06-02 10:00:00 to .* gps lies in"),
         ((imu("g.csv", BOOT, "gyro"), imu("a.csv", UNIX, "accel")), "g.csv spans .* a.csv spans .* accel lies in"),
         ((imu("1.csv", BOOT), imu("2.csv", UNIX)), "1.csv spans 100.0 to .* 2.csv spans 2026-06-01 .*: .* two clocks"),
     ],
@@ -49,6 +49,32 @@ def test_files_on_other_clocks_are_refused_with_their_times(files: tuple[Recordi
     for order in (files, files[::-1]):
         with pytest.raises(AttestError, match=says):
             log_of(*order)
+
+
+@pytest.mark.parametrize("away_s", [11, 7200, -3600])
+def test_an_aid_that_misses_the_drive_is_left_out_and_told(away_s: int) -> None:
+    log = log_of(imu("imu.csv", UNIX), gps(UNIX + away_s * S))
+    (warning,) = (warning for warning in log.warnings if warning.code == "no-overlap")
+    assert f"gps (gps) spans {away_s:.1f} to {away_s + 9:.1f} s after the IMU's start, the IMU 0 to" in warning.message
+    assert not log.fixes
+
+
+def test_one_of_two_aids_on_another_clock_leaves_the_other() -> None:
+    other = file("compass.csv", "compass", BOOT + np.arange(10) * S)
+    log = log_of(imu("imu.csv", UNIX), gps(UNIX), other)
+    assert [warning.message.split(" ")[0] for warning in log.warnings if warning.code == "no-overlap"] == ["compass"]
+    assert set(log.fixes) == {"gps"}
+
+
+@pytest.mark.parametrize("start_ns", [BOOT, UNIX + 86_400 * S])
+def test_one_of_two_files_of_a_sensor_on_another_clock_is_named(start_ns: int) -> None:
+    stray = file("stray.csv", "gps", start_ns + np.arange(10) * S)
+    log = log_of(imu("imu.csv", UNIX), gps(UNIX), stray)
+    assert log.fixes["gps"].t.size == 10
+    told = [warning for warning in log.warnings if warning.code == "no-overlap"]
+    assert len(told) == 1
+    assert "stray.csv spans" in told[0].message
+    assert "gps.csv" not in told[0].message
 
 
 def test_files_of_one_clock_are_joined() -> None:

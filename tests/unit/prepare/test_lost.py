@@ -69,6 +69,50 @@ def test_samples_lost_between_ticks_are_seen(rate: int, tick_ms: float, rng: np.
     assert 0.015 < missing(stamps_ns, 0.5) < 0.06
 
 
+def stamped(t: np.ndarray, tick_s: float) -> np.ndarray:
+    return np.rint((np.floor(t / tick_s + 1e-9) * tick_s if tick_s else t) * 1e9).astype(np.int64)
+
+
+@pytest.mark.parametrize("rate", [25, 50, 100, 104, 119, 200, 256, 333, 400])
+@pytest.mark.parametrize("tick_s", [0.0, 0.001, 0.004, 0.008, 0.01, 0.016])
+def test_lost_samples_are_counted_and_none_where_none_is_lost(rate: int, tick_s: float) -> None:
+    rng, n = np.random.default_rng(5), 8000
+    lost = {f"{share:.0%}": rng.random(n) < share for share in (0.01, 0.03, 0.1, 0.3, 0.4)}
+    in_turn = {f"every {k}.": np.arange(n) % k == 2 for k in (3, 10)}
+    burst = {"bursts": (np.convolve(rng.random(n) < 0.02, np.ones(5)) > 0)[:n]}
+    for jitter in (0.0, 0.03, 0.1):
+        t = np.sort(1.0 + (np.arange(n) + rng.normal(0.0, jitter, n)) / rate)
+        clean = in_order("log", stamped(t, tick_s), rng.normal(size=(n, 1)), 0).stamps_ns
+        assert missing(clean, 1.0) < 0.008
+        if tick_s * rate > 0.48 - jitter:  # single and double steps run into each other
+            continue
+        turns = in_turn if jitter < 0.1 or not tick_s else {}  # then they are not seen to be in turn
+        for name, gone in (lost | turns | burst).items():
+            share = float(gone.mean())
+            assert abs(missing(stamped(t[~gone], tick_s), 1.0) - share) < share / 3.0 + 0.002, (jitter, name)
+
+
+@pytest.mark.parametrize("first", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("rates", [(100.0, 50.0), (50.0, 100.0), (200.0, 50.0), (100.0, 80.0)])
+def test_another_rate_is_no_loss(first: float, rates: tuple[float, float], rng: np.random.Generator) -> None:
+    steps = np.repeat(1.0 / np.array(rates), [round(10_000 * first), round(10_000 * (1.0 - first))])
+    t = np.cumsum(steps)
+    assert missing(stamped(t, 0.0), 1.0) < 0.005
+    assert 0.066 < missing(stamped(t[rng.random(len(t)) > 0.1], 0.0), 1.0) < 0.12
+
+
+def test_steps_of_no_even_clock_and_bursts_are_no_loss(rng: np.random.Generator) -> None:
+    assert missing(stamped(np.cumsum(rng.uniform(0.004, 0.016, 12_000)), 0.0), 1.0) < 0.005
+    i = np.arange(12_000)
+    for size, step in ((10, 0.001), (8, 0.0005), (4, 0.002)):
+        assert missing(stamped(i // size * size * 0.01 + i % size * step, 0.0), 1.0) < 0.005
+
+
+def test_a_log_of_many_rates_ends(rng: np.random.Generator) -> None:
+    steps = np.repeat(0.001 * rng.integers(1, 200, 400), 25)
+    assert 0.0 <= missing(stamped(np.cumsum(steps), 0.0), 1.0) < 1.0
+
+
 def test_a_clock_that_is_late_has_lost_nothing(rng: np.random.Generator) -> None:
     stamps_ns = np.arange(20_000) * 10_000_000
     late = rng.random(len(stamps_ns)) < 0.1

@@ -59,3 +59,16 @@ def test_a_sensor_that_is_rounded_at_rest_or_short_tells_nothing() -> None:
     gyro, accel = drive(())
     refuse("imu", T, np.round(gyro, 1), accel)
     refuse("imu", T[:20], gyro[:20], accel[:20])
+
+
+@pytest.mark.parametrize("factor", [DEG, 1.0])
+def test_a_coarse_accelerometer_tells_rest_too(factor: float) -> None:
+    gyro, accel = drive()
+    gyro[T > 60.0] *= factor
+    coarse = np.round(accel, 1)  # some windows are constant, others flicker
+    if factor == 1.0:
+        refuse("imu", T, gyro, coarse)
+        refuse("imu", T, gyro, np.full_like(coarse, 9.8))
+        return
+    with pytest.raises(AttestError, match="unit changes between"):
+        refuse("imu", T, gyro, coarse)

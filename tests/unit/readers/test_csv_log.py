@@ -272,6 +272,62 @@ def test_thousands_or_decimal_comma_is_refused_unless_said(load: Load, tmp_path:
         assert only(read(tmp_path / "log.csv", settings))[1]["gyro_x"][0] == value
 
 
+@pytest.mark.parametrize(
+    ("early", "late", "says"),
+    [
+        ("0.125", "0,123", "'gx' holds text in 40 rows, the first: '0,123'"),
+        ("9.774", "9,810", r"'gx': decimals or thousands\? There are both '9,810' and '9.774'"),
+        ("-0.5", "-9,810", r"'gx': decimals or thousands\? There are both '-9,810' and '-0.5'"),
+    ],
+)
+def test_a_decimal_mark_that_changes_is_refused(load: Load, early: str, late: str, says: str) -> None:
+    start = ";".join(["t", *SENSORS.split(",")])
+    filling = "".join(f"{k * 0.01:.2f};{early};2.5;3.5;0.5;0.5;9.8{' ' * 40}\n" for k in range(2000))
+    lines = "".join(f"{20 + k * 0.01:.2f};{late};2.5;3.5;0.5;0.5;9.8\n" for k in range(40))
+    with pytest.raises(AttestError, match=says):
+        load(f"{start}\n{filling}{lines}")
+
+
+def test_decimals_in_the_time_are_no_thousands(load: Load, tmp_path: Path) -> None:
+    lines = "\n".join(f"{k * 0.01:.3f};1,5;2,5;3,5;0,5;0,5;9,8" for k in range(3000))
+    with pytest.raises(AttestError, match="decimal comma or point"):
+        load(";".join(["time", *SENSORS.split(",")]) + "\n" + lines)
+    with pytest.raises(AttestError, match=r"'time': decimals or thousands\? There are both '1.000' and '0.000'"):
+        read(tmp_path / "log.csv", Settings.model_validate({"table": {"decimal": ","}}))
+
+
+def test_thousands_between_smaller_numbers_are_read(load: Load) -> None:
+    cells = ["999.5", '"1,000.5"', '"1,001"', "12"]
+    lines = "\n".join(f"{k * 0.01:.2f},{cells[k % 4]},2.5,3.5,0.5,0.5,9.8" for k in range(8))
+    assert only(load(f"t,{SENSORS}\n{lines}"))[1]["gyro_x"] == [999.5, 1000.5, 1001.0, 12.0] * 2
+
+
+def test_the_time_unit_may_be_long(load: Load, tmp_path: Path) -> None:
+    lines = "\n".join(f"{k * 0.01 / 3600:.12f},1,2,3,0,0,9.8" for k in range(300))
+    with pytest.raises(AttestError, match=r"unit of time.*fits min and h and d"):
+        load(f"time,{SENSORS}\n{lines}")
+    recording = read(tmp_path / "log.csv", Settings.model_validate({"table": {"time_unit": "h"}}))
+    assert np.abs(np.array(only(recording)[0]) - np.arange(300) * 10_000_000).max() < 10
+
+
+def test_a_date_beside_a_counter_is_no_time(load: Load) -> None:
+    lines = "\n".join(f"2026-06-13,{k},1,2,3,0,0,9.8" for k in range(100))
+    recording = load(f"// Update Rate: 100.0Hz\ndate,PacketCounter,{SENSORS}\n{lines}")
+    assert only(recording)[0] == [k * 10_000_000 for k in range(100)]
+    whole = "\n".join(f"2026-06-13T10:00:00.{k:02d}0,1,2,3,0,0,9.8" for k in range(100))
+    assert only(load(f"date,{SENSORS}\n{whole}"))[0][1] == 1_781_344_800_010_000_000
+
+
+def test_hours_minutes_and_seconds_in_one_number_are_no_seconds(load: Load) -> None:
+    lines = "\n".join(f"{95900 + k * 0.1 if k < 600 else 99940 + k * 0.1:.2f},1,2,3,0,0,9.8" for k in range(1200))
+    assert "95959.90," in lines
+    assert "100000.00," in lines
+    with pytest.raises(AttestError, match="hhmmss"):
+        load(f"utc_time,{SENSORS}\n{lines}")
+    in_seconds = "\n".join(f"{95900 + k * 0.1:.2f},1,2,3,0,0,9.8" for k in range(1200))
+    assert only(load(f"utc_time,{SENSORS}\n{in_seconds}"))[0][-1] == 96_019_900_000_000
+
+
 def test_a_time_column_with_text_in_many_rows_is_refused(load: Load) -> None:
     lines = "\n".join(f"{'late' if k > 50 else k * 0.01},1,2,3,0,0,9.8" for k in range(100))
     with pytest.raises(AttestError, match="no readable time in 49 of 100 rows, the first: 'late'"):
@@ -290,4 +346,4 @@ def test_the_days_of_a_spreadsheet_are_told(load: Load) -> None:
     lines = "\n".join(f"{46174.4166666667 + k * 0.01 / 86400:.10f},1,2,3,0,0,9.8" for k in range(300))
     recording = load(f"time,{SENSORS}\n{lines}")
     assert abs(only(recording)[0][0] - 1_780_308_000_000_000_000) < 10_000
-    assert ["counts days" in w.message and "2026-06-01 at 10:00" in w.message for w in recording.warnings] == [True]
+    assert ["read as d" in w.message and "2026-06-01 at 10:00" in w.message for w in recording.warnings] == [True]

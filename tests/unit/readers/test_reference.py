@@ -229,6 +229,63 @@ def test_what_is_no_track_is_refused_in_one_line(tmp_path: Path, text: str, word
     assert "\n" not in str(fault.value)
 
 
+def in_table(path: Path, head: str, times: list[str], mark: str = ".") -> Path:
+    """A reference of attitudes with times as written."""
+    rows = [";".join([time, *(f"{part:.9f}".replace(".", mark) for part in q)])
+            for time, q in zip(times, Q, strict=True)]  # fmt: skip
+    path.write_text("\n".join([f"{head};q_w;q_x;q_y;q_z", *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("head", "seconds"), [("time_h", 3600.0), ("time [min]", 60.0), ("time [d]", 86_400.0), ("time [ms]", 1e-3)]
+)
+def test_the_unit_of_time_is_taken_as_in_a_log(tmp_path: Path, head: str, seconds: float) -> None:
+    found = read_poses(in_table(tmp_path / "ref.csv", head, [f"{t / seconds:.14f}" for t in T]))
+    assert np.abs(found.stamps_ns - np.rint(T * 1e9)).max() <= 10
+    table = {head: T / seconds, **{f"q_{part}": Q[:, k] for k, part in enumerate("wxyz")}}
+    pq.write_table(pa.table(table), tmp_path / "ref.parquet")
+    assert np.abs(read_poses(tmp_path / "ref.parquet").stamps_ns - np.rint(T * 1e9)).max() <= 10
+
+
+def test_times_as_people_write_them_are_read_as_in_a_log(tmp_path: Path) -> None:
+    path = tmp_path / "ref.csv"
+    start = np.datetime64("2026-06-13T10:00:00", "ns").astype(np.int64)
+    found = read_poses(in_table(path, "date;time", [f"13.06.2026;10:00:{t:06.3f}" for t in T]))
+    assert np.array_equal(found.stamps_ns, start + np.rint(T * 1e9).astype(np.int64))
+    found = read_poses(in_table(path, "time", [f"{46186 + (36_000 + t) / 86_400:.11f}" for t in T]))
+    assert np.abs(found.stamps_ns - start - T * 1e9).max() < 10_000
+    assert [w.code for w in found.warnings] == ["time-unit-guessed"]
+    found = read_poses(in_table(path, "time [ms]", [f"{1e6 + t * 1e3:,.1f}".replace(",", "'") for t in T]))
+    assert np.array_equal(found.stamps_ns, np.rint((1e3 + T) * 1e9))
+    assert [w.code for w in found.warnings] == ["thousands-separators"]
+    found = read_poses(in_table(path, "t", [f"{t:.2f}".replace(".", ",") for t in T], ","))
+    assert np.array_equal(found.stamps_ns, np.rint(T * 1e9))
+    np.testing.assert_allclose(found.q, Q, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        (lambda t: "x" if round(t * 100) % 40 == 7 else f"10:00:{t:06.3f}", "no readable time in 5 of 200 rows"),
+        (lambda t: "x" if round(t * 100) % 40 == 7 else f"{t:.2f}", "no readable time in 5 of 200 rows"),
+        (lambda t: f"01/06/2026 10:00:{t:06.3f}", "day or month first.*write dates as 2026-06-01"),
+        (lambda t: f"{t / 3600:.12f}", "unit of time cannot be told"),
+    ],
+)
+def test_times_that_are_lost_or_unclear_are_refused(tmp_path: Path, written: Callable[[float], str], says: str) -> None:
+    with pytest.raises(AttestError, match=says):
+        read_poses(in_table(tmp_path / "ref.csv", "time", [written(t) for t in T]))
+
+
+def test_text_of_parquet_that_is_no_time_is_refused(tmp_path: Path) -> None:
+    cells = ["x" if k % 40 == 7 else f"10:00:{t:06.3f}" for k, t in enumerate(T)]
+    table = {"time": cells, **{f"q_{part}": Q[:, k] for k, part in enumerate("wxyz")}}
+    pq.write_table(pa.table(table), tmp_path / "ref.parquet")
+    with pytest.raises(AttestError, match="no readable time in 5 of 200 rows"):
+        read_poses(tmp_path / "ref.parquet")
+
+
 def test_a_channel_of_a_table_is_refused(tmp_path: Path) -> None:
     write_track([columns()], META, tmp_path / "track.csv", "csv")
     with pytest.raises(AttestError, match="--channel is for MCAP"):

@@ -126,8 +126,45 @@ def test_days_of_a_spreadsheet_are_told_by_their_steps(origin: str, since: int) 
     assert np.abs(stamps_ns - expected).max() < 15_000  # the digits of a double
 
 
+@pytest.mark.parametrize(
+    ("origin", "step", "fits"),
+    [
+        (0.0, 0.01 / 3600, "min and h and d"),  # hours at 100 Hz would be days at 4 Hz
+        (0.0, 0.01 / 86_400, "h and d"),
+        (30_000.0, 0.01 / 3600, "min and h and d"),  # a date, but the steps are those of hours too
+        (12.0, 1e-5, "min and h and d"),
+    ],
+)
+def test_days_without_a_date_are_not_guessed(origin: float, step: float, fits: str) -> None:
+    with pytest.raises(AttestError, match=f"unit of time.*fits {fits}"):
+        stamps.in_days(origin + np.arange(500) * step, "", imu=True, path=LOG)
+
+
+def test_days_that_are_stated_need_no_date() -> None:
+    assert stamps.in_days(np.arange(500) * 1e-5, "d", imu=True, path=LOG) == (1.0, 0, ())
+    found = stamps.in_days(46174.4 + np.arange(500) * 1e-5, "d", imu=True, path=LOG)
+    assert found is not None
+    assert found[1] == 25_569
+    assert stamps.taken_unit(found[2]) is None  # it was stated
+
+
+def test_a_clock_in_one_number_is_told_from_seconds() -> None:
+    seconds = np.arange(36_000.0, 36_200.0, 0.5)
+    clock = seconds // 3600 * 10_000 + seconds % 3600 // 60 * 100 + seconds % 60
+    for imu in (True, False):
+        with pytest.raises(AttestError, match="hhmmss"):
+            stamps.guess_unit(clock, imu=imu, path=LOG)
+        assert stamps.guess_unit(seconds, imu=imu, path=LOG)[0] == "s"
+    paused = np.r_[np.arange(0.0, 55.0, 0.5), np.arange(105.0, 155.0, 0.5)]
+    for steps in (np.arange(0.0, 5000.0, 50.0), np.arange(0.0, 9000.0, 60.0), np.arange(40) * 0.5, paused):
+        assert stamps.guess_unit(steps, imu=False, path=LOG)[0] == "s"
+
+
 def test_other_steps_count_no_days() -> None:
     for raw in (np.arange(100) * 0.01, 1.7e9 + np.arange(100) * 0.005, np.arange(100) * 10.0, np.zeros(9)):
         assert stamps.in_days(raw, "", imu=True, path=LOG) is None
     assert stamps.in_days(46174.4 + np.arange(20) / 86_400, "", imu=False, path=LOG)[1] == 25_569
+    assert stamps.in_days(np.arange(900) * 0.001, "", imu=False, path=LOG) is None  # a track at 1 kHz
+    with pytest.raises(AttestError, match=r"fits min and h and d"):
+        stamps.in_days(np.arange(900) / 3600, "", imu=False, path=LOG)
     assert stamps.in_days(np.arange(9) * 0.01, "min", imu=True, path=LOG) == (60 / 86_400, 0, ())
