@@ -19,9 +19,11 @@ LONGEST_S, MOST = 1200.0, 20  # motions that are tried: length, number
 FEWEST = 2  # one motion closes with other axes by chance
 OPEN_RAD = np.radians(0.25), np.radians(1.5)  # what opens less may be the accelerometer; where noise explains it
 CLOSES, ALONE, EQUAL = 0.25, 0.4, 1.05  # misfit over that of the gyro as it is; over that of the next best axes; a tie
-GROSS = 0.02  # scale error from which a track is of no use
+GROSS, LOST_SCALE = 0.02, 0.2  # scale error from which a track is of no use
 SCALES = np.linspace(0.5, 2.0, 151)
 OTHER_UNIT, LARGEST_BIAS = (3.0, 30.0), 2.0  # of an accelerometer axis, its factor; m/s^2: more is another fault
+LESS = 0.5  # of what an accelerometer's fault leaves: a gyro bias in motion that leaves less is the better reason
+GROSS_BIAS = 0.2  # m/s^2; a gyro turned 1.2 deg against the accelerometer would look the same, and is as rare
 SEEN, LEVEL = 0.2, 2.0  # of what a bias shows in the axis that shows it best; level over plumb: plumb, it tilts nothing
 LIKELY, SURE = 3.0, 5.0  # sigma from which motions open; from which a bias or a rest contradicts
 LEAST_CHANGE = 0.02  # m/s^2: 2 mg, what an accelerometer drifts in a day
@@ -49,6 +51,12 @@ class Motion:
     def back(self, axes: Array) -> Array:
         """Return the rotation (3, 3) from body axes before to those after, by the gyro with its axes changed."""
         return np.asarray(rotation.matrix(_whole(rotation.exp_quaternion(self.turns @ axes.T)))[0].T)
+
+    def drifted(self) -> Array:
+        """Return what specific force after the motion is off, m/s^2, for a bias of the gyro in motion (3, 3), rad/s."""
+        q = rotation.chain(rotation.exp_quaternion(self.turns))
+        to_end = rotation.matrix(rotation.multiply(rotation.conjugate(q[-1:]), q))
+        return np.asarray(rotation.skew(self.after) @ to_end.mean(axis=0) * self.span)
 
 
 def motions(log: Log, segmentation: Segmentation, calm: Sequence[tuple[int, int]] = ()) -> list[Motion]:
@@ -80,10 +88,12 @@ def doubts(drive: Drive, *, raised: bool) -> list[Warn]:
     told = {warn.code for warn in (*log.warnings, *segmentation.warnings)}
     disputed = _disputed(log, segmentation, noise) if "stop-bias" in told else []
     found = motions(log, segmentation)
-    if disputed or len(found) < FEWEST or "imu-rows-missing" in told:  # lost rows do not close either
+    if disputed or len(found) < FEWEST:
         return disputed
-    same = _opening(found, np.eye(3))
-    causes = _axes(found, same) or _scale(found, same) if same > OPEN_RAD[0 if raised else 1] else []
+    same, lost = _opening(found, np.eye(3)), "imu-rows-missing" in told
+    causes = _axes(found, same) or _scale(found, same, lost) if same > OPEN_RAD[0 if raised else 1] else []
+    if lost:  # which does not close either
+        return causes
     sigma = float(np.sqrt(2.0 * np.mean([_variance(motion, noise) for motion in found])))
     opens = not causes and same > LIKELY * sigma and (raised or len(found) > FEWEST)
     causes = causes or (_accelerometer(found, drive.settings.imu.accel_bias_sigma) if opens else [])
@@ -107,11 +117,11 @@ def _axes(found: Sequence[Motion], same: float) -> list[Warn]:
     return [Warn("gyro-against-accel", f"{message}: {in_words(axes)}", HINT, fatal=True)]
 
 
-def _scale(found: Sequence[Motion], same: float) -> list[Warn]:
-    """Say which other scale of the gyro closes."""
+def _scale(found: Sequence[Motion], same: float, lost: bool) -> list[Warn]:
+    """Say which other scale of the gyro closes; where rows are ``lost``, one that they do not explain."""
     scaled = np.array([_opening(found, scale * np.eye(3)) for scale in SCALES])
     k = int(np.argmin(scaled))
-    if scaled[k] >= CLOSES * same or not 0 < k < len(SCALES) - 1:
+    if scaled[k] >= CLOSES * same or not 0 < k < len(SCALES) - 1 or (lost and abs(SCALES[k] - 1.0) < LOST_SCALE):
         return []
     message = f"the gyro closes from stop to stop with {SCALES[k]:.2f} times its rate, not as it is"
     hint = "calibrate its scale: where it turns much, sigma does not hold"
@@ -120,7 +130,7 @@ def _scale(found: Sequence[Motion], same: float) -> list[Warn]:
 
 def _accelerometer(found: Sequence[Motion], bias_sigma: float) -> list[Warn]:
     r"""Say which axis of the accelerometer closes with another scale :math:`1+s`, or which bias :math:`c` of it does
-    that is beyond its sigma.
+    that is beyond its sigma; on level ground a gyro turned by :math:`|c|/g` against it closes alike.
 
     .. math:: f_2-Rf_1=(I-R)c,\qquad f_2-Rf_1=-s\,(e_if_{2i}-R\,e_if_{1i})
 
@@ -134,18 +144,23 @@ def _accelerometer(found: Sequence[Motion], bias_sigma: float) -> list[Warn]:
         for i, axis in enumerate("xyz")
     ]  # fmt: skip
     causes.append(("", np.concatenate([np.eye(3) - R for R in turned])))
+    drift = np.concatenate([motion.drifted() for motion in found])
+    by_gyro = np.linalg.norm(off - drift @ np.linalg.lstsq(drift, off, rcond=SEEN)[0])  # a bias that only motion shows
     for axis, columns in causes:
         x = np.linalg.lstsq(columns, off, rcond=SEEN)[0]
-        if np.linalg.norm(off - columns @ x) >= CLOSES * np.linalg.norm(off):
+        left = np.linalg.norm(off - columns @ x)
+        if left >= CLOSES * np.linalg.norm(off) or by_gyro < LESS * left:
             continue
         if axis and OTHER_UNIT[0] < 1.0 + x[0] < OTHER_UNIT[1]:
             message = f"the accelerometer's {axis} axis closes from stop to stop with {1.0 + x[0]:.2g} times its value"
             hint = "is it in another unit than the others? mend it in the driver, or with --columns"
             return [Warn("accel-scale", message, hint, fatal=True)]
         if not axis and _tilts(x, found, bias_sigma):
-            said = ", ".join(f"{value:.2f}" for value in x)
+            said, size = ", ".join(f"{value:.2f}" for value in x), float(np.linalg.norm(x))
+            turned_deg = np.degrees(size / np.linalg.norm(found[0].before))
             message = f"accelerometer and gyro close from stop to stop with an accelerometer bias of {said} m/s^2"
-            return [Warn("accel-bias", message, ACCEL_HINT, fatal=True)]
+            message += f" (or a gyro turned {turned_deg:.1f} deg against it, or one whose bias changes in motion)"
+            return [Warn("accel-bias", message, ACCEL_HINT, fatal=size > GROSS_BIAS)]
     return []
 
 
@@ -189,7 +204,7 @@ def _disputed(log: Log, segmentation: Segmentation, noise: Noise) -> list[Warn]:
 
 
 def _calm(log: Log, segmentation: Segmentation) -> Iterator[tuple[int, int]]:
-    """Yield the samples ``[lo, hi)`` of the longest rest in each motion, as quiet about its mean as the stops."""
+    """Yield the samples ``[lo, hi)`` of the last rest in each motion, as quiet about its mean as the stops."""
     t, imu = log.imu.t, log.imu
 
     def shaken(lo: int, hi: int) -> Array:

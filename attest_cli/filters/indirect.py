@@ -24,9 +24,10 @@ from .alignment import Start, align
 
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
-ABSURD = 5.0  # times its noise: neither scale nor vibration makes a gyro drift so, it contradicts the accelerometer
+ABSURD = 10.0  # times its noise: no gyro drifts so in motion, it contradicts the accelerometer
 ACCELEROMETER = {"accel-bias", "accel-scale"}  # causes that are none of the gyro
 FEW_MOTIONS = 4
+FAR = 30.0  # NIS that is larger counts as this
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
 
@@ -50,15 +51,15 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
     begun = _begin(drive, epochs)
     nodes, found, raised = consistent_run(begun.nodes, begun.start, gate, begun.run)
     causes = closure.doubts(drive, raised=raised > 1.0)
-    known = epochs is not None or _spared(causes)  # navigation has states for it
-    better, told = (None, ()) if known else scale.mended(drive, *scale.learn(begun.nodes, _ungated(begun)))
+    asked = epochs is None and not _spared(causes)  # navigation has states for it
+    better, told = scale.mended(drive, *scale.learn(begun.nodes, _ungated(begun))) if asked else (None, ())
     if better is not None:
         again = _begin(better, None) if told else _noisier(begun, better)
         solved = consistent_run(again.nodes, again.start, gate, again.run)
-        if solved[2] <= (1.0 if told else raised):  # a scale is believed that leaves less to explain
-            begun, (nodes, found, raised), drive = replace(again, warnings=(*again.warnings, *told)), solved, better
-            causes = closure.doubts(drive, raised=raised > 1.0)
-    noise, warnings = drive.noise, [*begun.warnings]
+        if solved[2] <= (1.0 if told else raised) and (not told or _less_left(begun.run, again.run)):
+            begun, (nodes, found, raised) = replace(again, warnings=(*again.warnings, *told)), solved
+            causes = closure.doubts(better, raised=raised > 1.0)
+    noise, warnings = begun.drive.noise, [*begun.warnings]
     if raised > 1.0:
         noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
         warnings += [] if _spared(causes) else [_told_raised(float(np.sqrt(raised)))]
@@ -93,9 +94,21 @@ def _ungated(begun: Begun) -> FilterRun:
     return run(begun.nodes, begun.start, 1.0) if refused else begun.run
 
 
+def _refused(found: FilterRun) -> float:
+    """Return the share of measurements other than gravity that were refused."""
+    others = found.innovations.role != "gravity"
+    return float(np.mean(~found.innovations.used[others])) if others.any() else 0.0
+
+
+def _less_left(before: FilterRun, after: FilterRun) -> bool:
+    """Whether a scale error that is taken out leaves less to explain, of all sensors, and no more refused."""
+    left = [float(np.minimum(run.innovations.nis, FAR).sum()) for run in (before, after)]
+    return left[1] < left[0] - 0.5 * scale.SURE**2 and _refused(after) <= _refused(before)
+
+
 def _spared(causes: Sequence[Warn]) -> bool:
-    """Whether it is the accelerometer that is at fault, not the gyro."""
-    return bool(ACCELEROMETER & {warn.code for warn in causes})
+    """Whether it is surely the accelerometer that is at fault, not the gyro."""
+    return any(warn.fatal and warn.code in ACCELEROMETER for warn in causes)
 
 
 def _told_raised(times: float) -> Warn:
@@ -103,7 +116,7 @@ def _told_raised(times: float) -> Warn:
     message = f"the gyro drifts {times:.3g} times its noise in motion: sigma raised to fit"
     hint = "the gyro's scale or vibration is beyond its noise at rest; state it in [imu]"
     if times > ABSURD:
-        hint = "no scale or vibration does that: check axes, signs and units of both, and the accelerometer's bias"
+        hint = "check axes, signs and units of both, the accelerometer's bias, and whether the gyro's changes in motion"
     return Warn("gyro-noise-raised", message, hint, fatal=times > ABSURD)
 
 

@@ -44,7 +44,7 @@ def learn(nodes: Nodes, run: FilterRun) -> tuple[float, float]:
         U[k, :3], U[k, 3:] = R_k.T @ (v + turned[k] + biased[k] @ bias), bias
         V = left_k @ U[k]
         v, bias = R_k @ V[:3], V[3:]
-    asked = [any(m.role in ASKED for m in group) for group in nodes.measurements]
+    asked = [all(m.role in ASKED for m in group) for group in nodes.measurements]
     U, Y, left, at = U[asked], Y[asked], left[asked], at[asked]
     seen = np.linalg.solve(chain.P_pred[at], chain.dx[at][..., None])[..., 0]
     weight = float(np.einsum("ki,kij,kjl,kl->", U, Y, left, U))

@@ -95,3 +95,13 @@ def test_a_drive_with_a_scale_ends_as_sure_as_one_without(job: Job) -> None:
     assert [w.code for w in faulty.warnings] == ["gyro-scale"]
     nis = [f.run.innovations.nis[f.run.innovations.used].sum() for f in (sound, faulty)]
     assert nis[1] == pytest.approx(nis[0], rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_iron_in_a_compass_is_no_scale_of_the_gyro(seed: int) -> None:
+    made = simulated(replace(OPTIONS, seed=seed, sun=False, compass=True))
+    compass = made.log.fixes["compass"]
+    bent = replace(compass, values=compass.values + np.radians(8.0) * np.sin(compass.values))
+    log = replace(made.log, fixes={**made.log.fixes, "compass": bent})
+    drive = Drive(log, made.segmentation, made.world, replace(made.noise, gyro_scale=0.003), made.settings)
+    assert "gyro-scale" not in {w.code for w in indirect.forward(drive).warnings}
