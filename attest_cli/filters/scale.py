@@ -60,6 +60,8 @@ def mended(drive: Drive, error: float, sigma: float) -> tuple[Drive | None, tupl
         return None, ()
     sources = {**drive.noise.sources, "gyro_scale_sigma": SHOWN}
     if abs(error) < SURE * known:
+        if drive.settings.imu.gyro_scale_sigma is not None:
+            return None, ()  # what is stated wins over what is only likely
         return replace(drive, noise=replace(drive.noise, gyro_scale=abs(error), sources=sources)), ()
     gyro, bias = drive.log.imu.gyro_b, drive.segmentation.bias_b
     imu = replace(drive.log.imu, gyro_b=gyro + error * (gyro - bias))
