@@ -53,7 +53,7 @@ def learn(nodes: Nodes, run: FilterRun) -> tuple[float, float]:
 
 def mended(drive: Drive, error: float, sigma: float) -> tuple[Drive | None, tuple[Warn, ...]]:
     """Return the drive with a scale error of the gyro taken out where it is sure, and told; where it is likely, with
-    noise that covers it; none where neither.
+    noise that covers it, unless its sigma is stated; none where neither.
     """
     known = max(float(np.hypot(sigma, drive.noise.gyro_scale)), 1e-12)
     if sigma > KNOWN or abs(error) > LARGEST or abs(error) < LIKELY * known:

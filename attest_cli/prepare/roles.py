@@ -101,7 +101,7 @@ def _after(first: Channel, second: Channel) -> Channel:
 def told(recordings: Sequence[Recording]) -> list[Warn]:
     """Return what the readers said of their files; a renamed column is missing only where no file of a drive has it."""
     missing = [{_column(w) for w in recording.warnings if w.code == "no-such-column"} for recording in recordings]
-    nowhere = set[str]().union(*missing[:1]).intersection(*missing)
+    nowhere = set.intersection(*missing) if missing else set[str]()
     return [w for r in recordings for w in r.warnings if w.code != "no-such-column" or _column(w) in nowhere]
 
 

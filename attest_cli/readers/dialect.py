@@ -26,7 +26,9 @@ TIME = re.compile(rf"^\s*(?:{_DATE}(?:T|,?\s+|$))?(?:{_CLOCK}{_ZONE})?\s*$")
 """A date, a time of day, or both."""
 NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*|,\d+)?|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
 
-_APART = "['’ \u00a0\u2009\u202f]"  # between thousands, where no decimal mark is meant
+BETWEEN = "'’ \u00a0\u2009\u202f"
+"""Separators of thousands that are no decimal mark."""
+_APART = f"[{BETWEEN}]"
 _COMMA = re.compile(rf"\s*[-+]?(\d{{1,3}}((\.|{_APART})\d{{3}})+|\d*),\d+([eE][-+]?\d+)?\s*")
 _POINT = re.compile(rf"\s*[-+]?((\d{{1,3}}((,|{_APART})\d{{3}})+|\d+)\.\d*|\.\d+)([eE][-+]?\d+)?\s*")
 _THOUSANDS = re.compile(r"\s*[-+]?[1-9]\d{0,2}(,\d{3})+\s*")

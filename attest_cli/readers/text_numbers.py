@@ -10,9 +10,8 @@ import pyarrow.compute as pc
 
 from ..errors import AttestError
 from ..records import Warn
+from .dialect import BETWEEN
 
-BETWEEN = "'’ \u00a0\u2009\u202f"
-"""Separators of thousands that are no decimal mark."""
 GROUPED: Mapping[str, str] = {
     mark: rf"^\s*[-+]?[1-9]\d{{0,2}}(?:(?:[{BETWEEN}]\d{{3}})+|(?:[{other}]\d{{3}})+)(?:[{mark}]\d*)?\s*$"
     for mark, other in ((".", ","), (",", "."))
