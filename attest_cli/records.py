@@ -121,6 +121,7 @@ class Recording:
     other: Mapping[str, str] = field(default_factory=dict)  # channels not read: name -> type
     warnings: tuple[Warn, ...] = ()
     notes: tuple[str, ...] = ()  # how the file was understood: dialect, units, which column became what
+    missing: Mapping[str, Warn] = field(default_factory=dict)  # columns that settings rename -> which of the warnings
 
 
 @dataclass(frozen=True, slots=True)

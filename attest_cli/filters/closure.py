@@ -10,7 +10,8 @@ import numpy as np
 
 from ..maths import rotation
 from ..maths.axes import changed, in_words, signed_permutations
-from ..nodes.noise import Noise, reference_bias, stop_ranges
+from ..maths.consistency import upper_quantile
+from ..nodes.noise import Noise, motion_density, reference_bias, stop_ranges
 from ..records import Array, Log, Segmentation, Warn
 from . import Drive
 
@@ -25,7 +26,8 @@ OTHER_UNIT, LARGEST_BIAS = (3.0, 30.0), 2.0  # of an accelerometer axis, its fac
 LESS = 0.5  # of what an accelerometer's fault leaves: a gyro bias in motion that leaves less is the better reason
 GROSS_BIAS = 0.2  # m/s^2; a gyro turned 1.2 deg against the accelerometer would look the same, and is as rare
 SEEN, LEVEL = 0.2, 2.0  # of what a bias shows in the axis that shows it best; level over plumb: plumb, it tilts nothing
-LIKELY, SURE = 3.0, 5.0  # sigma from which motions open; from which a bias or a rest contradicts
+SURE = 5.0  # sigma from which a bias or a rest contradicts
+CHANCE, USUAL = 1e-4, 0.01  # that noise opens so much, or gains so much; that it leaves so much
 LEAST_CHANGE = 0.02  # m/s^2: 2 mg, what an accelerometer drifts in a day
 CALM_S, SHAKES = 4.0, 1.5  # of a rest that is no stop; times the noise at the stops
 HINT = "put signs, order and units right in the driver, or with --columns; [imu] mounting turns both together"
@@ -35,22 +37,31 @@ ACCEL_HINT = "calibrate it, or state [imu] accel_bias_sigma: tilt is off by as m
 @dataclass(frozen=True, slots=True)
 class Motion:
     """From one stop to the next: the gyro's ``turns`` (m, 3) rad without its bias, specific force ``before`` and
-    ``after`` (3,) m/s^2; it takes ``span`` s.
+    ``after`` (3,) m/s^2; it takes ``span`` s, the stops at its ends ``stood`` (2,) s.
     """
 
     span: float
+    stood: Array
     turns: Array
     before: Array
     after: Array
 
-    def misfit(self, axes: Array) -> float:
-        """Return by how much the gyro, its axes changed, misses the direction of gravity at the end, squared."""
+    def misfit(self, back: Array) -> float:
+        """Return by how much a rotation (3, 3) misses the direction of gravity at the end, squared."""
         before, after = (force / np.linalg.norm(force) for force in (self.before, self.after))
-        return float(np.sum((self.back(axes) @ before - after) ** 2))
+        return float(np.sum((back @ before - after) ** 2))
 
     def back(self, axes: Array) -> Array:
         """Return the rotation (3, 3) from body axes before to those after, by the gyro with its axes changed."""
         return np.asarray(rotation.matrix(_whole(rotation.exp_quaternion(self.turns @ axes.T)))[0].T)
+
+    def variance(self, noise: Noise) -> float:
+        """Return the variance, rad^2, of the angle about one axis by which gravity is missed: of the gyro's noise, its
+        walk, and the noise of a bias between those of two stops.
+        """
+        seconds = np.add.reduceat(self.turns, np.arange(0, len(self.turns), round(1.0 / STEP_S)))
+        own = self.span * float(motion_density(noise, seconds).mean()) + noise.n_w * self.span**3 / 3.0
+        return own + noise.n_r * float(np.sum(1.0 / self.stood)) * (0.5 * self.span) ** 2
 
     def drifted(self) -> Array:
         """Return what specific force after the motion is off, m/s^2, for a bias of the gyro in motion (3, 3), rad/s."""
@@ -74,7 +85,8 @@ def motions(log: Log, segmentation: Segmentation, calm: Sequence[tuple[int, int]
         bias = reference_bias(log, segmentation, 0.5 * (edges[1:] + edges[:-1]))  # linear from stop to stop
         turns = np.add.reduceat(each, first, axis=0) - bias * np.diff(edges)[:, None]
         forces = (log.imu.accel_b[lo:hi].mean(axis=0) for lo, hi in ((a0, a1), (b0, b1)))
-        out.append(Motion(float(at[-1] - at[0]), turns, *forces))
+        stood = np.array([t[a1 - 1] - t[a0], t[b1 - 1] - t[b0]])
+        out.append(Motion(float(at[-1] - at[0]), stood, turns, *forces))
     return out
 
 
@@ -90,24 +102,19 @@ def doubts(drive: Drive, *, raised: bool) -> list[Warn]:
     found = motions(log, segmentation)
     if disputed or len(found) < FEWEST:
         return disputed
-    same, lost = _opening(found, np.eye(3)), "imu-rows-missing" in told
+    turned = [motion.back(np.eye(3)) for motion in found]
+    same, lost = _opening(found, turned), "imu-rows-missing" in told
     causes = _axes(found, same) or _scale(found, same, lost) if same > OPEN_RAD[0 if raised else 1] else []
     if lost:  # which does not close either
         return causes
-    sigma = float(np.sqrt(2.0 * np.mean([_variance(motion, noise) for motion in found])))
-    opens = not causes and same > LIKELY * sigma and (raised or len(found) > FEWEST)
-    causes = causes or (_accelerometer(found, drive.settings.imu.accel_bias_sigma) if opens else [])
+    if not causes and (raised or len(found) > FEWEST):
+        causes = _accelerometer(found, turned, noise, drive.settings.imu.accel_bias_sigma)
     return causes or (_sizes(found, drive) if raised else [])
-
-
-def _variance(motion: Motion, noise: Noise) -> float:
-    """Return the variance of an angle, rad^2, after a motion."""
-    return noise.n_r * motion.span + noise.n_w * motion.span**3 / 3.0
 
 
 def _axes(found: Sequence[Motion], same: float) -> list[Warn]:
     """Say which other axes of the gyro close."""
-    openings = np.array([_opening(found, axes) for axes in signed_permutations()])
+    openings = np.array([_opening(found, [m.back(axes) for m in found]) for axes in signed_permutations()])
     best = openings.min()
     tied = openings <= EQUAL * best
     if best >= CLOSES * same or best >= ALONE * openings[~tied].min(initial=np.inf):
@@ -119,7 +126,7 @@ def _axes(found: Sequence[Motion], same: float) -> list[Warn]:
 
 def _scale(found: Sequence[Motion], same: float, lost: bool) -> list[Warn]:
     """Say which other scale of the gyro closes; where rows are ``lost``, one that they do not explain."""
-    scaled = np.array([_opening(found, scale * np.eye(3)) for scale in SCALES])
+    scaled = np.array([_opening(found, [m.back(scale * np.eye(3)) for m in found]) for scale in SCALES])
     k = int(np.argmin(scaled))
     if scaled[k] >= CLOSES * same or not 0 < k < len(SCALES) - 1 or (lost and abs(SCALES[k] - 1.0) < LOST_SCALE):
         return []
@@ -128,28 +135,31 @@ def _scale(found: Sequence[Motion], same: float, lost: bool) -> list[Warn]:
     return [Warn("gyro-scale", message, hint, fatal=abs(SCALES[k] - 1.0) > GROSS)]
 
 
-def _accelerometer(found: Sequence[Motion], bias_sigma: float) -> list[Warn]:
+def _accelerometer(found: Sequence[Motion], turned: Sequence[Array], noise: Noise, bias_sigma: float) -> list[Warn]:
     r"""Say which axis of the accelerometer closes with another scale :math:`1+s`, or which bias :math:`c` of it does
     that is beyond its sigma; on level ground a gyro turned by :math:`|c|/g` against it closes alike.
 
     .. math:: f_2-Rf_1=(I-R)c,\qquad f_2-Rf_1=-s\,(e_if_{2i}-R\,e_if_{1i})
 
-    Specific force is compared with its size: of that the gyro says nothing.
+    Specific force is compared with its size: of that the gyro says nothing. All is in sigma of the gyro's noise.
     """
-    turned = [motion.back(np.eye(3)) for motion in found]
-    off = np.concatenate([m.after - R @ m.before for m, R in zip(found, turned, strict=True)])
+    weights = [1.0 / np.sqrt(m.variance(noise) * (m.after @ m.after)) for m in found]
+    each = list(zip(found, turned, weights, strict=True))
+    off = np.concatenate([(m.after - R @ m.before) * weight for m, R, weight in each])
     causes: list[tuple[str, Array]] = [
-        (axis, np.concatenate([R[:, i] * m.before[i] - np.eye(3)[i] * m.after[i]
-                               for m, R in zip(found, turned, strict=True)])[:, None])
+        (axis, np.concatenate([(R[:, i] * m.before[i] - np.eye(3)[i] * m.after[i]) * weight
+                               for m, R, weight in each])[:, None])
         for i, axis in enumerate("xyz")
     ]  # fmt: skip
-    causes.append(("", np.concatenate([np.eye(3) - R for R in turned])))
-    drift = np.concatenate([motion.drifted() for motion in found])
-    by_gyro = np.linalg.norm(off - drift @ np.linalg.lstsq(drift, off, rcond=SEEN)[0])  # a bias that only motion shows
+    causes.append(("", np.concatenate([(np.eye(3) - R) * weight for _, R, weight in each])))
     for axis, columns in causes:
-        x = np.linalg.lstsq(columns, off, rcond=SEEN)[0]
-        left = np.linalg.norm(off - columns @ x)
-        if left >= CLOSES * np.linalg.norm(off) or by_gyro < LESS * left:
+        x, _, unknowns, _ = np.linalg.lstsq(columns, off, rcond=SEEN)
+        left = off - columns @ x
+        if not _closes(left, off, int(unknowns)):
+            continue
+        drift = np.concatenate([motion.drifted() * weight for motion, _, weight in each])
+        by_gyro = off - drift @ np.linalg.lstsq(drift, off, rcond=SEEN)[0]  # of a bias that only motion shows
+        if np.linalg.norm(by_gyro) < LESS * np.linalg.norm(left):
             continue
         if axis and OTHER_UNIT[0] < 1.0 + x[0] < OTHER_UNIT[1]:
             message = f"the accelerometer's {axis} axis closes from stop to stop with {1.0 + x[0]:.2g} times its value"
@@ -162,6 +172,18 @@ def _accelerometer(found: Sequence[Motion], bias_sigma: float) -> list[Warn]:
             message += f" (or a gyro turned {turned_deg:.1f} deg against it, or one whose bias changes in motion)"
             return [Warn("accel-bias", message, ACCEL_HINT, fatal=size > GROSS_BIAS)]
     return []
+
+
+def _closes(left: Array, off: Array, unknowns: int) -> bool:
+    """Whether so many ``unknowns`` explain motions that were ``off``, in sigma: what is gained is no noise, what is
+    ``left`` is; or, where noise is not what it is said to be, hardly anything is left.
+    """
+    remains, before = float(left @ left), float(off @ off)
+    angles = len(off) // 3 * 2  # the size of specific force has none
+    if remains < CLOSES**2 * before:
+        return before > upper_quantile(angles, CHANCE)
+    noise = upper_quantile(max(angles - unknowns, 1), USUAL)
+    return remains < noise and before - remains > upper_quantile(max(unknowns, 1), CHANCE)
 
 
 def _sizes(found: Sequence[Motion], drive: Drive) -> list[Warn]:
@@ -194,8 +216,8 @@ def _disputed(log: Log, segmentation: Segmentation, noise: Noise) -> list[Warn]:
     calm = list(_calm(log, segmentation))
     worst = 0.0
     for motion in motions(log, segmentation, calm) if calm else []:
-        off = float(np.sqrt(motion.misfit(np.eye(3))))
-        worst = max(worst, off if off > max(OPEN_RAD[0], SURE * np.sqrt(_variance(motion, noise))) else 0.0)
+        off = float(np.sqrt(motion.misfit(motion.back(np.eye(3)))))
+        worst = max(worst, off if off > max(OPEN_RAD[0], SURE * np.sqrt(motion.variance(noise))) else 0.0)
     if worst == 0.0:
         return []
     message = f"gyro and accelerometer contradict each other by {np.degrees(worst):.2g} deg at a rest"
@@ -226,6 +248,6 @@ def _whole(q: Array) -> Array:
     return rotation.normalise(q)
 
 
-def _opening(found: Sequence[Motion], axes: Array) -> float:
-    """Return the RMS angle, rad, by which the gyro misses gravity."""
-    return float(np.sqrt(np.mean([motion.misfit(axes) for motion in found])))
+def _opening(found: Sequence[Motion], turned: Sequence[Array]) -> float:
+    """Return the RMS angle, rad, by which rotations ``turned`` miss gravity."""
+    return float(np.sqrt(np.mean([motion.misfit(R) for motion, R in zip(found, turned, strict=True)])))

@@ -13,6 +13,7 @@ MAD = 1.4826
 FEW = 10
 SAME, OFTEN = 1e-5, 0.02  # spread of sizes that are one; share of rows that is no moment
 STEEPEST = 0.2  # least horizontal share of the field that a heading is told from
+TAKEN_OUT = "magnetometer-normalised"  # code of a warning
 HINT = "attest calibrate-bias finds its iron; away from steel and motors it would be better; heading counts less"
 
 
@@ -51,12 +52,10 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
 
 def _normalised(fixes: Fixes, sizes: Array, log: Log) -> list[Warn]:
     """Say that the size of the field was taken out: no sensor is so still."""
-    if np.ptp(sizes) > SAME * np.median(sizes) or any("normalised" in warning.message for warning in log.warnings):
+    if np.ptp(sizes) > SAME * np.median(sizes) or any(warning.code == TAKEN_OUT for warning in log.warnings):
         return []
     message = f"{fixes.channel}: the magnetic field has one size in every row: it was normalised"
-    return [
-        Warn("magnetometer-normalised", message, "iron nearby cannot be seen in its size; log the field as measured")
-    ]
+    return [Warn(TAKEN_OUT, message, "iron nearby cannot be seen in its size; log the field as measured")]
 
 
 def _disturbed(fixes: Fixes, off: Array) -> list[Warn]:

@@ -16,7 +16,7 @@ DATES_NS = (631_152_000_000_000_000, 4_102_444_800_000_000_000)
 """1990 to 2100: stamps that are a date."""
 INERTIAL = frozenset({"imu", "gyro", "accel"})
 HOUR_S, FARTHEST_H = 3600.0, 14  # to which clocks are set; time zones
-AWAY_NS = FARTHEST_H * 3600 * 1_000_000_000
+AWAY_NS = round(FARTHEST_H * HOUR_S) * 1_000_000_000
 """What misses the IMU's time by more is no neighbour in time, nor in another zone."""
 
 WAY_OUT = "write both with the stamps of one clock; of messages --time log takes the recorder's"

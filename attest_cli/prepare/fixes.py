@@ -14,6 +14,7 @@ from ..settings.units import unit
 from . import places, units
 from .clock import in_order, seconds
 from .lost import LARGEST
+from .spikes import AROUND, spikes
 
 STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
@@ -21,6 +22,7 @@ STALE_RUN = 3
 GPS_SIGMA_M = 3.0  # where nothing is stated
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
 DRIVING_M_S, SIDEWAYS, NOISY = 0.1, 3.0, 6.0
+SPIKE = 0.1  # of the field: what is less hardly turns a heading
 CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})
 
 
@@ -65,6 +67,8 @@ def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnin
         return None
     if role in CHECKED_FOR_REPEATS:
         inside &= _fresh(role, channel.name, values, warnings)
+    if role == "magnetometer":
+        inside &= _calm(channel.name, values, warnings)
     t = seconds(stamps_ns[inside], span.t0_ns)
     sigma = None if sigma is None or not np.any(np.isfinite(sigma[inside])) else sigma[inside]
     return Fixes(role, channel.name, t, values[inside], sigma)
@@ -128,6 +132,16 @@ def _fresh(role: str, name: str, values: Array, warnings: list[Warn]) -> Bools:
             Warn("stale-repeats", message, "a repeat is no new measurement; leave blank what was not measured")
         )
     return fresh
+
+
+def _calm(name: str, values: Array, warnings: list[Warn]) -> Bools:
+    """Tell measurements of the field from spikes: a mean over a stop would take them in."""
+    usual = float(np.median(np.linalg.norm(values, axis=1)))
+    rows = spikes(values, SPIKE * usual, AROUND)
+    if rows.any():
+        message = f"{np.count_nonzero(rows)} of {rows.size} measurements of {name} (magnetometer) dropped: spikes"
+        warnings.append(Warn("magnetometer-spikes", message, "what is left is used; is it near a switched current?"))
+    return ~rows
 
 
 def _columns(channel: Channel, names: tuple[str, ...], target: str) -> Array:

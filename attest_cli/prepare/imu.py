@@ -15,6 +15,7 @@ from ..settings import Settings
 from . import axes, clipping, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .epochs import HOUR_S, SET_NS, whole_hours
+from .jitter import jittered
 from .lost import LARGEST
 from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
 
@@ -156,16 +157,16 @@ def _held(name: str, t: Array, table: Array, warnings: list[Warn]) -> Bools:
 
 def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> Imu:
     """Draw the gyro where it ran out of its range; make clipped samples noisier, and say so; noisier too are samples
-    beside those that are lost.
+    beside those that are lost, and those whose stamps scatter.
     """
     found = clipping.clipped(imu.t, imu.gyro_b, clipping.GYRO_FLOOR)
     if found:
         warnings.append(clipping.told(name, "gyro", found, "rad/s"))
         gyro, density = clipping.repaired(imu.t, imu.gyro_b, found, clipping.GYRO_DENSITY)
         imu = replace(imu, gyro_b=gyro, gyro_clipped=density)
-    bridged = lost.bridged(imu.t, imu.gyro_b, longest_s)
-    if bridged is not None:
-        imu = replace(imu, gyro_clipped=bridged if imu.gyro_clipped is None else np.hypot(bridged, imu.gyro_clipped))
+    for added in (lost.bridged(imu.t, imu.gyro_b, longest_s), jittered(imu.t, imu.gyro_b)):
+        if added is not None:
+            imu = replace(imu, gyro_clipped=added if imu.gyro_clipped is None else np.hypot(added, imu.gyro_clipped))
     found = clipping.clipped(imu.t, imu.accel_b, clipping.ACCEL_FLOOR)
     if found:
         warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
@@ -205,13 +206,14 @@ def _in_window(files: str, channel: Channel, t0_ns: int, settings: Settings, war
         stamps_ns, values = stamps_ns[good], values[good]
     ordered = in_order(f"{files}: {channel.name}", stamps_ns, values, t0_ns)
     warnings.extend(ordered.warnings)
-    share = lost.missing(ordered.stamps_ns, settings.time.max_gap_s, rows_in - len(values))
+    reordered = ordered.stamps_ns is not stamps_ns and not np.array_equal(ordered.rows, np.arange(len(values)))
+    dropped = rows_in - len(values)
+    values = values[ordered.rows] if reordered else values
+    share = lost.missing(ordered.stamps_ns, settings.time.max_gap_s, dropped, values[:, :3])
     if share > FEW_MISSING:
         message = f"{files}: {share:.1%} of the rows of {channel.name} are missing, one or a few at a time"
         hint = "what turned between is a guess; does the driver, the bus or the logger drop samples?"
         warnings.append(Warn("imu-rows-missing", message, hint))
-    if ordered.stamps_ns is not stamps_ns and not np.array_equal(ordered.rows, np.arange(len(values))):
-        values = values[ordered.rows]
     return _Rows(channel, ordered.stamps_ns, values, rows_in)
 
 

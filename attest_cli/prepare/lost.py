@@ -25,37 +25,101 @@ APART, UNEVEN = 1.7, 0.25  # periods by which runs differ; of their spread if st
 LONGEST = 3.0  # periods: longer steps are too few for a spread
 SAME, EXACT = 0.98, 1e-3  # share of lost samples that come in turn; of a rate
 USUAL_HZ = (20, 25, 40, 50, 60, 80, 100, 125, 200, 250, 400, 500, 1000)  # to which IMUs are set
+DOUBLE, ENOUGH, SMOOTH = 2.6, 50, 0.7  # periods at most; steps that tell; times that beside them, if values are smooth
+HALF, SURE, SAMPLED = 0.5, 4.0, 200_000  # of the double steps; sigma; rows that are asked
+USUAL, TIMES = 0.95, (-1.0, 4.0)  # share of the changes that are no jumps; times
 RUN, FULLEST = 150, 0.05  # samples; share of the runs of so many that are taken to be whole
 LARGEST = 1e12  # a raw value beyond this is a damaged number
 SENTINELS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2147483647.0, 2147483648.0)
 SENTINEL_SHARE, SENTINEL_FACTOR = 0.01, 20.0  # of the rows; times the 99th percentile of the others
 
 
-def missing(stamps_ns: Ints, longest_s: float, dropped: int = 0) -> float:
+def missing(stamps_ns: Ints, longest_s: float, dropped: int = 0, values: Array | None = None) -> float:
     """Return the share of samples that are lost in short holes, but for those that were ``dropped`` on the way.
 
     A hole is a step near to two or more periods. A clock that is late once, and early after it, has lost nothing: the
-    time that goes beyond one period a step, over all short steps, must be as long. The share is rough where
-    stamps are rounded to ticks of half a period or more: lost samples hide in them, and doubled ticks look lost.
+    time that goes beyond one period a step, over all short steps, must be as long. Stamps that are rounded to ticks of
+    half a period or more double some steps, too: there ``values`` (n, k), where they are smooth, tell the time that
+    has passed. Else the share is rough, and 125 Hz without each fifth sample is 100 Hz on ticks of 8 ms.
     """
     step = np.diff(stamps_ns) * 1e-9
     usual = float(np.median(step)) if step.size else 0.0
     short = step[step <= max(longest_s, MISSING * usual)]
     if not np.any(short > MISSING * np.quantile(short, SHORTEST) if short.size else False):
         return 0.0  # of nearly every log, at no cost
-    lost = max(_lost(short) - dropped, 0.0)
+    low, high = (0.0, 1.0) if values is None else _passed(step[:SAMPLED], values[: SAMPLED + 1])
+    if high < HALF and _on_ticks(short):
+        lost = _beside_ticks(short, max(0.5 * (low + high), 0.0))
+    else:
+        lost = _lost(short, RATES, in_turn=low > HALF)
+    lost = max(lost - dropped, 0.0)
     return lost / (stamps_ns.size + lost)
 
 
-def _lost(steps: Array, rates: int = RATES) -> float:
-    """Return how many samples are lost within ``steps``; stretches of other ``rates`` are asked on their own."""
-    period = _period(steps)
+def _passed(step: Array, values: Array) -> tuple[float, float]:
+    r"""Return between what shares of the double steps twice the time has passed, by what changed in them.
+
+    The change over a step is :math:`\beta` times the mean of those beside it: 1 after one period, 2 after two. Noise of
+    the ``values`` (n, k) makes it less; then they do not tell.
+    """
+    usual, change = float(np.quantile(step, SHORTEST)), np.diff(values, axis=0)
+    single, double = (step > 0.0) & (step < MISSING * usual), (step >= MISSING * usual) & (step < DOUBLE * usual)
+    between = single[:-2] & single[2:]
+    (one, spread), (two, wide) = (_times(change, np.flatnonzero(between & rows[1:-1])) for rows in (single, double))
+    if one - SURE * spread > SMOOTH:
+        return two - SURE * wide - one, two + SURE * wide - one
+    return two - SURE * wide - 1.0, 1.0
+
+
+def _times(change: Array, rows: Ints) -> tuple[float, float]:
+    """Return how many times the mean change (n, k) beside it a step has, after each of these rows, and its sigma."""
+    times, weight, _ = changes(change, rows)
+    total = float(weight.sum())
+    if not total:
+        return 0.0, np.inf
+    mean = float(times @ weight) / total
+    return mean, float(np.linalg.norm(weight * (times - mean))) / total
+
+
+def changes(change: Array, rows: Ints) -> tuple[Array, Array, Ints]:
+    """Return how many times the mean ``change`` (n, k) beside it the step after each of these rows has, its weight, and
+    the rows that count: none where they are few, no jumps.
+    """
+    beside = 0.5 * (change[rows] + change[rows + 2])
+    weight = np.sum(beside**2, axis=1)
+    usual = weight <= np.quantile(weight, USUAL) if rows.size >= ENOUGH else np.zeros(rows.size, dtype=np.bool_)
+    rows, beside, weight = rows[usual], beside[usual], weight[usual]
+    return np.clip(np.sum(change[rows + 1] * beside, axis=1) / np.maximum(weight, 1e-300), *TIMES), weight, rows
+
+
+def _on_ticks(steps: Array) -> bool:
+    """Tell whether steps are of one tick or two, none between, and few of more."""
+    ticks = steps / np.quantile(steps, SHORTEST)
+    between = np.count_nonzero((ticks > 1.0 + WHOLE) & (ticks < 2.0 - WHOLE))
+    return bool(between < SHORT * steps.size and ticks.mean() < MOST)
+
+
+def _beside_ticks(steps: Array, share: float) -> float:
+    """Return how many samples are lost in a ``share`` of the double steps, and in longer ones."""
+    usual = float(np.quantile(steps, SHORTEST))
+    double, longer = (steps >= MISSING * usual) & (steps < DOUBLE * usual), steps >= DOUBLE * usual
+    hidden = share * np.count_nonzero(double)
+    period = float(steps[~longer].sum()) / (np.count_nonzero(~longer) + hidden)
+    return hidden + float(np.maximum(np.rint(steps[longer] / period) - 1.0, 0.0).sum())
+
+
+def _lost(steps: Array, rates: int, *, in_turn: bool) -> float:
+    """Return how many samples are lost within ``steps``; stretches of other ``rates`` are asked on their own.
+
+    ``in_turn``: where each so many-th step is long, a sample is lost in it.
+    """
+    period = _period(steps, in_turn=in_turn)
     if period <= 0.0 or not np.any(steps > MISSING * period):
         return 0.0
     single = (steps > SINGLE[0] * period) & (steps < SINGLE[1] * period)
     other = _in_runs(~single, OTHER_RATE)
     if other.any() and rates:
-        return sum(_lost(steps[rows], rates - 1) for rows in (~other, other) if rows.any())
+        return sum(_lost(steps[rows], rates - 1, in_turn=in_turn) for rows in (~other, other) if rows.any())
     count = np.rint(steps / period) - 1.0
     uneven = np.abs(steps[steps <= MISSING * period] - period)
     near = max(WHOLE * period, 2.0 * float(np.quantile(uneven, 0.9)) if uneven.size else 0.0)
@@ -70,7 +134,7 @@ def _in_runs(rows: Bools, least: int) -> Bools:
     return rows & np.repeat(lengths >= least, lengths)
 
 
-def _period(steps: Array) -> float:
+def _period(steps: Array, *, in_turn: bool = False) -> float:
     """Return the time between samples of which none is lost.
 
     Single steps tell it where most are alike and the others are holes. Steps of a clock's ticks and of bursts are no
@@ -90,7 +154,7 @@ def _period(steps: Array) -> float:
     t = np.concatenate([[0.0], np.cumsum(steps)])
     full, middle = (float(x) for x in np.quantile(t[run:] - t[:-run], (FULLEST, 0.5)))
     spread = math.sqrt(run) * float(np.minimum(steps, LONGEST * period).std())  # of runs whose steps fall as they like
-    uneven = middle - full > max(UNEVEN * spread, APART * period) or _in_turn(steps, period)
+    uneven = middle - full > max(UNEVEN * spread, APART * period) or _in_turn(steps, period, sure=in_turn)
     few = np.count_nonzero(steps <= SINGLE[0] * period) < SHORT * steps.size
     bursts = steps.mean() >= MOST * period
     if uneven and few and single.mean() > TELLING and not bursts:
@@ -100,7 +164,7 @@ def _period(steps: Array) -> float:
     return max(full / run, period if few else float(np.median(steps)))
 
 
-def _in_turn(steps: Array, period: float) -> bool:
+def _in_turn(steps: Array, period: float, *, sure: bool) -> bool:
     """Tell whether each so many-th sample is lost.
 
     Steps of a clock's ticks would do so too, were the sensor's own clock exact. It is in logs that are made; their rate
@@ -109,7 +173,7 @@ def _in_turn(steps: Array, period: float) -> bool:
     apart, rate = np.diff(np.flatnonzero(steps > MISSING * period)), 1.0 / float(steps.mean())
     if not apart.size or np.count_nonzero(apart == np.median(apart)) < SAME * apart.size:
         return False
-    return all(abs(rate / hz - 1.0) > EXACT for hz in USUAL_HZ)
+    return sure or all(abs(rate / hz - 1.0) > EXACT for hz in USUAL_HZ)
 
 
 def without_sentinels(values: Array) -> tuple[Array, str]:
@@ -157,13 +221,13 @@ def bridged(t: Array, gyro: Array, longest_s: float) -> Array | None:
         ends = 0.5 * size * (gyro[size + 1 :] + gyro[: -size - 1])
         even = np.abs(t[size + 1 :] - t[: -size - 1] - (size + 1) * period) < EVEN * (size + 1) * period
         square = np.where(even, np.mean((inner - ends) ** 2, axis=1), 0.0) * period**2
-        d = np.sqrt(_mean_around(t, t[mine], square, even) / (step[mine] + period))
+        d = np.sqrt(around(t, t[mine], square, even) / (step[mine] + period))
         np.maximum.at(density, mine, d)
         np.maximum.at(density, mine + 1, d)
     return density
 
 
-def _mean_around(t: Array, at: Array, square: Array, known: Array) -> Array:
+def around(t: Array, at: Array, square: Array, known: Array) -> Array:
     """Return the mean of the known squares around instants; of all where too few are near."""
     counts, sums = (np.concatenate([[0.0], np.cumsum(x)]) for x in (known, square))
     low, high = (np.clip(np.searchsorted(t, at + side * AROUND_S), 0, len(square)) for side in (-1.0, 1.0))

@@ -100,13 +100,9 @@ def _after(first: Channel, second: Channel) -> Channel:
 
 def told(recordings: Sequence[Recording]) -> list[Warn]:
     """Return what the readers said of their files; a renamed column is missing only where no file of a drive has it."""
-    missing = [{_column(w) for w in recording.warnings if w.code == "no-such-column"} for recording in recordings]
-    nowhere = set.intersection(*missing) if missing else set[str]()
-    return [w for r in recordings for w in r.warnings if w.code != "no-such-column" or _column(w) in nowhere]
-
-
-def _column(warning: Warn) -> str:
-    return warning.message.partition(": no column ")[2]
+    elsewhere = {w for r in recordings for column, w in r.missing.items()
+                 if any(column not in other.missing for other in recordings)}  # fmt: skip
+    return [warning for recording in recordings for warning in recording.warnings if warning not in elsewhere]
 
 
 def with_named(recordings: Sequence[Recording], settings: Settings) -> list[Channel]:

@@ -14,12 +14,13 @@ ACCEL_FLOOR, GYRO_FLOOR = 20.0, 5.0  # m/s^2, rad/s: less can be a pothole or a 
 SAMPLED = 20_000  # rows that tell the sigma
 
 
-def spikes(values: Array, floor: float) -> Bools:
+def spikes(values: Array, floor: float, width: int = WIDTH) -> Bools:
     r"""Tell the rows (n,) of which a column of ``values`` (n, k) is a spike.
 
-    A spike is where :math:`|x - m| > \max(50\,\hat\sigma, \text{floor}, 30\,r)`: :math:`m` is the median of five
+    A spike is where :math:`|x - m| > \max(50\,\hat\sigma, \text{floor}, 30\,r)`: :math:`m` is the median of ``width``
     samples, :math:`\hat\sigma = 1.4826\,\mathrm{med}|x - m|`, and :math:`r` the distance to :math:`m` that all of the
-    eight neighbours but one keep: a shock rings, a spike stands alone (or with one other).
+    eight neighbours but one keep: a shock rings, a spike stands alone (or with one other). Where they are many, nine
+    samples and all neighbours but three.
     """
     found = np.zeros(len(values), dtype=np.bool_)
     if len(values) < AROUND:
@@ -28,15 +29,18 @@ def spikes(values: Array, floor: float) -> Bools:
         if np.ptp(x) <= floor:
             continue
         around = sliding_window_view(np.pad(x, AROUND // 2, mode="reflect"), AROUND)
-        inner = slice((AROUND - WIDTH) // 2, (AROUND + WIDTH) // 2)
+        inner = slice((AROUND - width) // 2, (AROUND + width) // 2)
         sample = slice(None, None, -(-x.size // SAMPLED))
         usual = 1.4826 * np.median(np.abs(x[sample] - np.median(around[sample, inner], axis=1)))
         limit = max(floor, FACTOR * float(usual))
 
         jump = np.abs(np.diff(x)) > limit  # three of five are that far off, so a direct neighbour is: look only there
-        rows = np.flatnonzero(np.append(jump, False) | np.insert(jump, 0, False))
+        near = np.append(jump, False) | np.insert(jump, 0, False)
+        if width > WIDTH:  # or its neighbour
+            near |= np.append(near[1:], False) | np.insert(near[:-1], 0, False)
+        rows = np.flatnonzero(near)
         middle = np.median(around[rows, inner], axis=1)
         apart = np.abs(around[rows] - middle[:, None])
-        others = np.sort(np.delete(apart, AROUND // 2, axis=1), axis=1)
-        found[rows[apart[:, AROUND // 2] > np.maximum(limit, ALONE * others[:, -2])]] = True
+        beside = np.sort(np.delete(apart, AROUND // 2, axis=1), axis=1)
+        found[rows[apart[:, AROUND // 2] > np.maximum(limit, ALONE * beside[:, -(width // 2)])]] = True
     return found

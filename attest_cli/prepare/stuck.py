@@ -14,6 +14,7 @@ USUAL = 0.25  # of such a run: values that often repeat for longer are too coars
 LIVELY = 0.25  # share of the rows that must change
 BESIDE, ABRUPT = 3, 0.05  # steps on either side, share of a usual one: noise-free simulations come to rest smoothly
 SOME = 2000  # rows that mostly show that a column is sound
+NEAR, FAINT = 20, 1e-6  # steps on either side that show noise; share of a usual one: rounding
 COARSE_RAD_S = 2e-3  # 16 bits over 2000 deg/s are half of it
 COARSE, QUANTA = 1e-3, 3.5  # of a usual step; a coarse sensor at rest holds its value until it changes by one
 
@@ -95,13 +96,24 @@ def _stuck(t: Array, period: float, x: Array) -> Bools:
         return out
     steps = np.abs(change[change != 0.0])
     level, size, quantum = (1.0 - BAND) * np.abs(x).max(), float(np.median(steps)), float(steps.min())
-    reach, least_step = (1, QUANTA * quantum) if quantum > COARSE * size else (BESIDE, ABRUPT * size)
+    coarse, faint = quantum > COARSE * size, max(QUANTA * quantum, FAINT * size)
     for a, b in zip(first[long].tolist(), last[long].tolist(), strict=True):
         clipped = abs(x[a]) >= level > 0.0 and t[b] - t[a] < LONGEST_S
-        sides = [np.abs(side).max(initial=0.0) for side in (change[max(a - reach, 0) : a], change[b : b + reach])]
-        if not clipped and (min(sides) if reach == 1 else max(sides)) > least_step:
+        before, after = change[max(a - NEAR, 0) : a], change[b : b + NEAR]
+        if coarse:
+            abrupt = min(np.abs(side).max(initial=0.0) for side in (before[-1:], after[:1])) > QUANTA * quantum
+        else:
+            abrupt = np.abs([*before[-BESIDE:], *after[:BESIDE]]).max(initial=0.0) > ABRUPT * size
+            abrupt = abrupt or _noisy(before, faint) or _noisy(after, faint)
+        if abrupt and not clipped:
             out[a + 1 : b + 1] = True
     return out
+
+
+def _noisy(steps: Array, faint: float) -> bool:
+    """Tell whether steps turn back and forth, as those of noise do and of what comes to rest do not."""
+    usual = float(np.median(np.abs(steps))) if steps.size == NEAR else 0.0
+    return usual > faint and float(np.median(np.abs(np.diff(steps)))) > usual
 
 
 def _runs(flags: Bools) -> tuple[Ints, Ints]:

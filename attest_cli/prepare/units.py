@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -261,7 +261,8 @@ def magnetometer(channel: Channel, names: Sequence[str], warnings: list[Warn]) -
     median, here = float(np.median(norms)), unit(quantity.stated or SI["mag"])[0]
     fact = f"its median norm is {_digits(median / here)}"
     if abs(median / here - 1.0) < 0.1 and float(np.std(norms)) < 0.1 * median:
-        warnings.append(_told(channel, "magnetometer", quantity.stated, "a normalised field", fact))
+        told = _told(channel, "magnetometer", quantity.stated, "a normalised field", fact)
+        warnings.append(replace(told, code="magnetometer-normalised"))
         return quantity.values * (UNIT_FIELD_T / here)
     for name in MAG_UNITS:
         ratio = unit(name)[0] / here

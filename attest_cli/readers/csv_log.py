@@ -138,7 +138,8 @@ def _read_types(path: Path, settings: Settings) -> Recording:
     other = {f"rows {kind}": f"{count} rows" for kind, count in sorted(left.items())}
     warnings = tuple(dict.fromkeys(warning for _, part in parts for warning in part.warnings))
     notes = tuple(note for _, part in parts for note in part.notes)
-    return Recording(path, "csv", channels, sum(part.rows for _, part in parts), other, warnings, notes)
+    missing = {column: warning for _, part in parts for column, warning in part.missing.items()}
+    return Recording(path, "csv", channels, sum(part.rows for _, part in parts), other, warnings, notes, missing)
 
 
 def _inertial(names: Sequence[str]) -> bool:

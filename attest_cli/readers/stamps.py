@@ -19,7 +19,8 @@ EPOCH_S = (6.3e8, 4.1e9)  # 1990 to 2100: seconds that are a date
 PERIOD_S = (1e-4, 1.0)  # periods an IMU can have
 OTHER_PERIOD_S = (1e-3, 3600.0)  # periods other sensors can have
 LONGEST_STEP_S = 90.0  # a sensor without a unit of time that steps by more counts no seconds
-LONG_UNITS_S = {"min": 60.0, "h": 3600.0, "d": 86_400.0}
+SECOND_NS, MINUTE_NS, HOUR_NS, DAY_NS = 10**9, 60 * 10**9, 3600 * 10**9, 86_400 * 10**9
+LONG_UNITS_S = {"min": MINUTE_NS / SECOND_NS, "h": HOUR_NS / SECOND_NS, "d": DAY_NS / SECOND_NS}
 SERIAL_DAYS = {25_569: (25_569.0, 8e4), 719_529: (719_529.0, 7.7e5)}
 """Days from the origin of a spreadsheet's or Matlab's calendar to 1970 -> days that are a date in it."""
 SHORTEST_S = {True: PERIOD_S[0], False: 4e-4}  # of an IMU or not: shorter steps are none in seconds
@@ -100,17 +101,17 @@ def in_days(raw: Array, unit: str, *, imu: bool, path: Path) -> tuple[float, int
     stated, hint = f"states no unit; read as d by its step of {step:g}", WAY_OUT
     if unit == "d":
         stated, hint = "is in d", "write times as 2026-06-01T10:00:00.000Z, if that is not their date"
-    return 1.0, since, (Warn("time-unit-guessed", f"{path.name}: the time column {stated}, {date}", hint),)
+    message = f"{path.name}: the time column {stated}, {date}"
+    return 1.0, since, (Warn("time-unit-guessed", message, hint),)
 
 
 def from_days(values: Array, since: int) -> tuple[Ints, Array]:
     """Scale days to ns since 1970, which is ``since`` days after their origin."""
-    day_ns = 86_400_000_000_000
-    valid = np.abs(values - since) < LATEST_NS / day_ns
+    valid = np.abs(values - since) < LATEST_NS / DAY_NS
     safe = np.where(valid, values, since)
     whole = np.floor(safe)
-    ns = np.rint((safe - whole) * day_ns).astype(np.int64)
-    return (whole.astype(np.int64) - since) * day_ns + ns, np.where(valid, 1.0, np.nan)
+    ns = np.rint((safe - whole) * DAY_NS).astype(np.int64)
+    return (whole.astype(np.int64) - since) * DAY_NS + ns, np.where(valid, 1.0, np.nan)
 
 
 def taken_unit(warnings: Iterable[Warn]) -> str | None:

@@ -62,7 +62,8 @@ class Layout:
 
     ``time``: the column of stamps, or of a counter, or none (index -1), where ``rate_hz`` makes time of counts.
     ``seconds``: whole seconds beside a ``time`` within the second; ``date``: that of a ``time`` of day; ``recorder``:
-    the recorder's stamps beside those of the sensor. ``other``: names of columns that are not read.
+    the recorder's stamps beside those of the sensor. ``other``: names of columns that are not read; ``missing``: those
+    that are to be renamed.
     """
 
     time: Column
@@ -72,7 +73,7 @@ class Layout:
     recorder: Column | None = None
     date: Column | None = None
     rate_hz: float | None = None
-    warnings: tuple[Warn, ...] = ()
+    missing: Mapping[str, Warn] = field(default_factory=dict)
 
     @property
     def times(self) -> tuple[Column, ...]:
@@ -115,7 +116,7 @@ def layout_of(
         If a column appears twice, or there is no time, or nothing that attest knows.
     """
     table, units = table or Table(), units or [""] * len(names)
-    spoken, told = _renamed(path, names, table)
+    spoken, missing = _renamed(path, names, table)
     twice = [name for name, count in Counter(n.strip() for n in spoken).items() if count > 1 and recognise(0, name)]
     if twice:
         raise AttestError(
@@ -136,20 +137,20 @@ def layout_of(
     columns = tuple(replace(column, name=names[column.index]) for column in best.values())
     used = {column.index for column in columns} | taken
     other = {name: "column" for index, name in enumerate(names) if index not in used and name.strip()}
-    return replace(time, columns=columns, other=other, warnings=told)
+    return replace(time, columns=columns, other=other, missing=missing)
 
 
-def _renamed(path: Path, names: Sequence[str], table: Table) -> tuple[list[str], tuple[Warn, ...]]:
+def _renamed(path: Path, names: Sequence[str], table: Table) -> tuple[list[str], dict[str, Warn]]:
     """Put the names of the settings in place of those of the file; one that is not there is said."""
     known = sorted({name.strip() for name in names} - {""})
-    told = []
+    missing = dict[str, Warn]()
     for old in table.names:
         if old.strip() not in known:
             near = difflib.get_close_matches(old, known, n=3, cutoff=0.4) or known[:6]
             message = f"{path.name}: no column {old!r} to be {table.names[old]!r}"
-            told.append(Warn("no-such-column", message, f"the nearest: {', '.join(map(repr, near))}"))
+            missing[old] = Warn("no-such-column", message, f"the nearest: {', '.join(map(repr, near))}")
     new = {old.strip(): name for old, name in table.names.items()}
-    return [new.get(name.strip(), name) for name in names], tuple(told)
+    return [new.get(name.strip(), name) for name in names], missing
 
 
 def times_of(
@@ -206,7 +207,7 @@ def recording_of(
     stamps_ns, valid, told = stamps(imu_rows)
     good = ~np.isnan(valid)
     channels = [_channel(role, name, columns, values, stamps_ns, good) for role, name, columns in groups]
-    told = (*layout.warnings, *told, *warnings)
+    told = (*layout.missing.values(), *told, *warnings)
     if not np.all(good):
         message = f"{path.name}: {np.count_nonzero(~good)} of {good.size} rows dropped: no readable time"
         told += (Warn("rows-without-time", message, "see the rows with attest doctor"),)
@@ -215,7 +216,7 @@ def recording_of(
     told += receiver
     told += _empty(path, channels)
     kept = tuple(channel for channel in channels if channel.stamps_ns.size)
-    return Recording(path, format_name, kept, int(good.size), layout.other, told, layout.told)
+    return Recording(path, format_name, kept, int(good.size), layout.other, told, layout.told, layout.missing)
 
 
 def _valid_fixes(

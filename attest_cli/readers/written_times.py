@@ -13,11 +13,10 @@ import pyarrow.compute as pc
 from ..errors import AttestError
 from ..records import Array, Bools, Ints
 from .dialect import TIME
-from .stamps import from_dates
+from .stamps import DAY_NS, HOUR_NS, MINUTE_NS, SECOND_NS, from_dates
 from .tables import WRITTEN
 
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
-DAY_NS, HOUR_NS, MINUTE_NS, SECOND_NS = 86_400_000_000_000, 3_600_000_000_000, 60_000_000_000, 1_000_000_000
 YEARS = (1970, 2115)
 DATES_OUT = "write dates as 2026-06-01; for a log, day_first = true (or false) under [table] of attest.toml"
 WAY_OUT = "write times as 2026-06-01T10:00:00.000Z, or as seconds"

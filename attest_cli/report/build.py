@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..assess import Pass
+from ..assess import Pass, agree
 from ..estimate import Estimate
 from ..maths.consistency import FEW, lasting, mean_nis, noise_status, rejection_status
 from ..position import Position
@@ -186,8 +186,7 @@ def _statistics(run: Run) -> dict[str, Any]:
     forward_heading = np.degrees(run.passes["forward"].sigma_n()[:, 2])
     if run.est.moving.any():  # not while the filter finds its feet at the first stop
         forward_heading = forward_heading[run.est.moving]
-    motions = [r for r in run.segments if r["kind"] == "motion"]
-    apart = [r[f"separation_{a}_sigma"] for r in motions for a in _axes(run) if r[f"separation_{a}_sigma"] is not None]
+    apart = _apart(run)
     dt = np.diff(run.log.imu.t)
     bias = np.degrees(run.est.smoothed.bias)
     s = run.segmentation
@@ -212,9 +211,11 @@ def _statistics(run: Run) -> dict[str, Any]:
     }
 
 
-def _axes(run: Run) -> str:
-    """Return the axes whose separation says something: heading only where it is measured."""
-    return "xy" if run.est.forward.heading == "relative" else "xyz"
+def _apart(run: Run) -> list[float]:
+    """Return the separations, in sigmas, that say something: those of heading only where it is measured."""
+    axes = "xy" if run.est.forward.heading == "relative" else "xyz"
+    found = [r[f"separation_{axis}_sigma"] for r in run.segments if r["kind"] == "motion" for axis in axes]
+    return [value for value in found if value is not None]
 
 
 def _position_numbers(position: Position | None, t: Array) -> dict[str, Any]:
@@ -254,7 +255,7 @@ def _check(name: str, good: bool, fact: str, detail: str, *, fatal: bool = False
 def _checks(run: Run, statistics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the lines of "What to know": warnings of the log first, then what the run found out about itself."""
     lines = [_check(w.code, False, _sentence(w.message), w.hint, fatal=w.fatal) for w in run.warnings]
-    lines += _separation_check(statistics) + _innovation_checks(run.est.forward.innovations)
+    lines += _separation_check(_apart(run), statistics) + _innovation_checks(run.est.forward.innovations)
     others = (_position_check(run, statistics), _advice_check(run), _data_check(run, statistics["jitter_ms"]))
     lines += [check for check in others if check is not None]
     return lines
@@ -269,14 +270,13 @@ def _sentence(message: str) -> str:
     return message if ":" in message.split(" ", maxsplit=1)[0] else message[:1].upper() + message[1:]
 
 
-def _separation_check(s: Mapping[str, Any]) -> list[dict[str, Any]]:
-    total, inside = s["separation_checks"], s["separation_inside_2sigma"]
-    if total == 0:
+def _separation_check(apart: Sequence[float], s: Mapping[str, Any]) -> list[dict[str, Any]]:
+    if not apart:
         return []
-    expected = total * 0.954
-    good = inside >= expected - 3.0 * np.sqrt(total * 0.954 * 0.046) - 0.5
+    good = agree(apart)
     fact = "Forward and backward agree" if good else "Forward and backward disagree"
-    return [_check("separation", bool(good), fact, f"{inside} of {total} segment checks inside 2σ")]
+    detail = f"{s['separation_inside_2sigma']} of {s['separation_checks']} segment checks inside 2σ"
+    return [_check("separation", good, fact, detail)]
 
 
 def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:

@@ -101,6 +101,8 @@ STAMPS: dict[str, Fault] = {
     "IMU at 10 Hz": Fault("bare", (), averaged(5), base=NO_HEADING, same_truth=False),
     "four of five rows left out": Fault(
         "bare", ("gyro-noise-refuted",), rows(lambda d: np.arange(len(d.t)) % 5 == 0), base=NO_HEADING),
+    "every fifth row lost": Fault("bare", (), rows(lambda d: np.arange(len(d.t)) % 5 != 2)),
+    "every fifth row lost, hand": Fault("hand", ("imu-rows-missing",), rows(lambda d: np.arange(len(d.t)) % 5 != 2)),
     "30 % of the rows lost": Fault(
         "bare", (), rows(lambda d: np.random.default_rng(1).random(len(d.t)) > 0.3),
         base=(*NO_HEADING, "imu-rows-missing", "position", "stop-advice"), needless=True),
@@ -194,7 +196,7 @@ UNITS: dict[str, Fault] = {
     "magnetometer in gauss": Fault("magnetometer", ("unit-contradicted",), scaled(0.01, *MAG)),
     "magnetometer in mG": Fault("magnetometer", ("unit-contradicted",), scaled(10.0, *MAG)),
     "magnetometer in T": Fault("magnetometer", ("unit-contradicted",), scaled(1e-6, *MAG)),
-    "magnetometer normalised": Fault("magnetometer", ("unit-contradicted",), scaled(1 / 47.86, *MAG)),
+    "magnetometer normalised": Fault("magnetometer", ("magnetometer-normalised",), scaled(1 / 47.86, *MAG)),
     "gravity removed": Fault("bare", ("no gravity",), gravity_removed()),
     "gravity removed, sun": Fault("sun", ("no gravity",), gravity_removed()),
     "accelerometer scale 10 %": Fault("sun", ("accel-scale",), scaled(1.1, *ACCEL)),

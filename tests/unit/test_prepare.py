@@ -549,14 +549,28 @@ def test_warnings_of_the_readers_come_first() -> None:
     assert codes(prepare([told], Settings())) == ["text-cells"]
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_spikes_of_a_magnetometer_are_dropped(share: float) -> None:
+    rng = np.random.default_rng(7)
+    values = np.array([2e-5, 0.0, -4e-5]) + rng.normal(0.0, 3e-7, (100, 3))
+    off = rng.random(100) < share
+    values[off] += 6e-5 * rng.uniform(0.3, 1.0, (np.count_nonzero(off), 3))
+    units = dict.fromkeys(COLUMNS["magnetometer"], "T")
+    log = log_of(imu(), fixes("magnetometer", np.arange(100) * 0.1, values, units))
+    assert codes(log) == ["magnetometer-spikes"] * (share > 0.0)
+    left = np.abs(log.fixes["magnetometer"].values - [2e-5, 0.0, -4e-5]).max(axis=1) > 1e-5
+    assert np.count_nonzero(left) <= 0.25 * np.count_nonzero(off)
+
+
 def test_a_renamed_column_is_missing_only_where_no_file_has_it() -> None:
     def told(name: str, *columns: str) -> Recording:
-        warnings = tuple(Warn("no-such-column", f"{name}: no column '{c}' to be 'gyro_x'") for c in columns)
+        missing = {c: Warn("no-such-column", f"{name}: no column {c}") for c in columns}
         channel = imu(name=name, start_ns=T0 if name == "a.csv" else T0 + 10_000_000_000)
-        return replace(recording(replace(channel, name="/imu/data"), name=name), warnings=warnings)
+        told = recording(replace(channel, name="/imu/data"), name=name)
+        return replace(told, warnings=tuple(missing.values()), missing=missing)
 
     log = prepare([told("a.csv", "wx", "wz"), told("b.csv", "wy", "wz")], Settings())
-    assert [w.message.partition(": ")[2] for w in log.warnings] == ["no column 'wz' to be 'gyro_x'"] * 2
+    assert [w.message for w in log.warnings] == ["a.csv: no column wz", "b.csv: no column wz"]
 
 
 @pytest.mark.parametrize(("forward", "aside", "said"), [(0.0, 0.0, False), (0.4, 0.0, False), (0.05, 0.4, True)])

@@ -70,6 +70,16 @@ def test_a_bias_of_the_accelerometer_is_told_with_its_size(job: Job) -> None:
     assert np.abs(found - [0.4, 0.0, 0.0]).max() < 0.1
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("bias", [0.0, 0.6])
+def test_a_bias_is_told_from_a_noisy_gyro(job: Job, bias: float, seed: int) -> None:
+    density = 5e-4  # so noisy that it leaves more than a little
+    noise = np.random.default_rng(seed).normal(0.0, density * np.sqrt(50.0), job.log.imu.gyro_b.shape)
+    imu = replace(job.log.imu, gyro_b=job.log.imu.gyro_b + noise, accel_b=job.log.imu.accel_b + np.array([bias, 0, 0]))
+    noisy = replace(drive(job, replace(job.log, imu=imu)), noise=replace(job.noise, gyro_density=density))
+    assert [w.code for w in doubts(noisy, raised=False)] == ["accel-bias"] * (bias > 0.0)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_an_axis_of_the_accelerometer_in_another_unit_is_told(job: Job, axis: int) -> None:
     (told,) = of_accelerometer(job, np.where(np.arange(3) == axis, 1 / 9.80665, 1.0), np.zeros(3))

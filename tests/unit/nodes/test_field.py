@@ -45,6 +45,8 @@ def test_a_normalised_one_has_no_size(job: Job) -> None:
     values = 5e-5 * fixes.values / sizes
     iron, told = field_doubts(replace(fixes, values=values), job.log, job.segmentation, job.world)
     assert (iron, [w.code for w in told]) == (0.0, ["magnetometer-normalised"])
+    known = replace(job.log, warnings=tuple(told))
+    assert field_doubts(replace(fixes, values=values), known, job.segmentation, job.world) == (0.0, [])
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.0, []), (1.0, []), (15.0, ["magnetometer-disturbed"])])

@@ -92,6 +92,45 @@ def test_lost_samples_are_counted_and_none_where_none_is_lost(rate: int, tick_s:
             assert abs(missing(stamped(t[~gone], tick_s), 1.0) - share) < share / 3.0 + 0.002, (jitter, name)
 
 
+def smooth(t: np.ndarray, rng: np.random.Generator, noise: float = 1e-3) -> np.ndarray:
+    w, phase = rng.uniform(0.6, 12.0, (2, 5, 1, 3))  # up to 2 Hz
+    return 0.3 * np.sum(np.sin(w * t[:, None] + phase), axis=0) + rng.normal(0.0, noise, (len(t), 3))
+
+
+@pytest.mark.parametrize(("rate", "tick_s"), [(125, 0.008), (125, 0.004), (100, 0.0), (50, 0.0), (25, 0.01)])
+def test_a_sample_lost_in_turn_shows_in_smooth_values(rate: int, tick_s: float, rng: np.random.Generator) -> None:
+    t = 1.0 + np.arange(8000)[np.arange(8000) % 5 != 2] / rate  # stamps as of 4/5 of the rate, on ticks
+    assert missing(stamped(t, tick_s), 1.0) < 0.01
+    assert missing(stamped(t, tick_s), 1.0, 0, rng.normal(size=(len(t), 3))) < 0.01
+    assert missing(stamped(t, tick_s), 1.0, 0, smooth(t, rng)) == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize(("rate", "tick_s"), [(100, 0.008), (104, 0.008), (91, 0.01), (200, 0.004)])
+def test_ticks_of_most_of_a_period_hide_no_loss_in_smooth_values(
+    rate: int, tick_s: float, rng: np.random.Generator
+) -> None:
+    t = 1.0 + np.arange(12_000) / rate
+    assert missing(stamped(t, tick_s), 1.0, 0, smooth(t, rng)) < 0.004
+    for share in (0.03, 0.1):
+        t = 1.0 + np.arange(12_000)[rng.random(12_000) > share] / rate
+        assert missing(stamped(t, tick_s), 1.0) > 1.5 * share
+        assert 0.4 * share < missing(stamped(t, tick_s), 1.0, 0, smooth(t, rng)) < 1.2 * share
+
+
+@pytest.mark.parametrize("sigma", [3e-4, 1e-3, 3e-3])
+def test_a_poor_clock_of_an_even_sensor_has_lost_nothing(sigma: float, rng: np.random.Generator) -> None:
+    t = 1.0 + np.arange(12_000) / 100.0
+    values = smooth(t, rng)
+    late = np.sort(t + rng.normal(0.0, sigma, len(t)))
+    i = np.arange(len(t))
+    for stamps in (
+        late,
+        1.0 + i // 8 * 0.08 + i % 8 * 0.001,
+        1.0 + i // 4 * 0.04 + np.array([0, 1, 3, 4])[i % 4] * 1e-3,
+    ):
+        assert missing(stamped(stamps, 0.0), 1.0, 0, values) < 0.01
+
+
 @pytest.mark.parametrize("first", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("rates", [(100.0, 50.0), (50.0, 100.0), (200.0, 50.0), (100.0, 80.0)])
 def test_another_rate_is_no_loss(first: float, rates: tuple[float, float], rng: np.random.Generator) -> None:

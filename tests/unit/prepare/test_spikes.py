@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from attest_cli.prepare.spikes import ACCEL_FLOOR, spikes
+from attest_cli.prepare.spikes import ACCEL_FLOOR, AROUND, spikes
 
 
 def still(n: int = 2000, seed: int = 3) -> np.ndarray:
@@ -18,6 +18,15 @@ def test_spikes_are_found_and_nothing_else(rows: list[int], size: float) -> None
     values = still()
     values[rows, 1] += size
     assert np.flatnonzero(spikes(values, ACCEL_FLOOR)).tolist() == rows
+
+
+def test_outliers_in_a_fifth_of_the_rows_are_found_with_a_wide_median() -> None:
+    values, rng = still(), np.random.default_rng(5)
+    off = rng.random(len(values)) < 0.2
+    values[off] += rng.uniform(5.0, 20.0, (np.count_nonzero(off), 3))
+    found = spikes(values, 1.0, AROUND)
+    assert np.count_nonzero(found & off) > 0.8 * np.count_nonzero(off)
+    assert not np.any(found & ~off)
 
 
 def test_a_sample_below_the_floor_is_left() -> None:

@@ -23,6 +23,15 @@ def test_a_held_value_is_stuck_from_its_first_repeat(rng: np.random.Generator) -
     assert not found[2].any()
 
 
+@pytest.mark.parametrize("end", [2600, 4000])
+def test_a_value_held_at_rest_is_stuck(end: int, rng: np.random.Generator) -> None:
+    x = np.where(T[:, None] < 24.0, values(rng), rng.normal(0.0, 1e-4, (4000, 3)))  # far below a usual step
+    x[2500:end, 2] = x[2500, 2]
+    found = stuck(T, x)
+    assert np.flatnonzero(found[2]).tolist() == list(range(2501, end))
+    assert not found[0].any()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_is_never_stuck(seed: int) -> None:
     assert not np.any(stuck(T, values(np.random.default_rng(seed))))

@@ -208,7 +208,7 @@ def test_a_normalised_field_keeps_its_direction(rng: np.random.Generator) -> Non
         found / np.linalg.norm(found, axis=1)[:, None], field / np.linalg.norm(field, axis=1)[:, None]
     )
     assert np.median(np.linalg.norm(found, axis=1)) == pytest.approx(50e-6, rel=0.01)
-    assert [w.code for w in warnings] == ["unit-guessed"]
+    assert [w.code for w in warnings] == ["magnetometer-normalised"]
 
 
 def test_a_unit_of_another_quantity_or_of_no_meaning_is_refused() -> None:

@@ -133,7 +133,7 @@ CASES: dict[str, Case] = {
     "xsens-tabs-and-a-counter-that-wraps": one(
         table(XSENS, XSENS_ROWS, delimiter="\t", end="\t"),
         "",
-        "unit-guessed",  # the field is normalised
+        "magnetometer-normalised",
         start_ns=65_500 * 20_000_000,
         has=("magnetometer",),
         notes=("'PacketCounter' / 50 Hz",),
@@ -141,13 +141,13 @@ CASES: dict[str, Case] = {
     "xsens-semicolons": one(
         table(XSENS.replace("\t", ";"), XSENS_ROWS, delimiter=";"),
         "",
-        "unit-guessed",
+        "magnetometer-normalised",
         start_ns=65_500 * 20_000_000,
     ),
     "xsens-without-a-preamble": one(
         table(XSENS.partition("4.0.2\n")[2].replace("\t", ","), XSENS_ROWS),
         "--sample-rate 50",
-        "unit-guessed",
+        "magnetometer-normalised",
         start_ns=65_500 * 20_000_000,
     ),
     "xsens-without-a-counter": one(
@@ -285,7 +285,7 @@ CASES: dict[str, Case] = {
             delimiter=";",
         ),
         "",
-        "unit-guessed",
+        "magnetometer-normalised",
         has=("magnetometer",),
     ),
     "airbrakes": one(

@@ -1,0 +1,44 @@
+"""Stamps that scatter about those of an even sensor: what the attitude does not know for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..records import Array, Bools
+from .lost import SAMPLED, around, changes
+
+SINGLE = 0.5  # of a period: steps so near to it lost nothing
+LEAST = 0.01  # of a period: what scatters less turns next to nothing
+SMOOTH, FOLLOWS = 0.7, 0.5  # times the change beside a step, where values are smooth; share that goes with its length
+
+
+def jittered(t: Array, gyro: Array) -> Array | None:
+    r"""Return the noise density (n,), rad/s/sqrt(Hz), of samples whose stamps scatter by :math:`\sigma_\epsilon`.
+
+    A stamp that is late by :math:`\epsilon_k` gives :math:`\epsilon_k(\omega_{k+1}-\omega_{k-1})/2` too much: where the
+    sensor shakes, the angle walks at random. Steps scatter by :math:`\sqrt2\,\sigma_\epsilon`. None where stamps are
+    even, or where the values (n, 3) change with the length of the step: then the samples themselves scatter.
+    """
+    step = np.diff(t)
+    period = float(np.median(step))
+    single = np.abs(step / period - 1.0) < SINGLE
+    sigma = float(np.std(step[single])) / np.sqrt(2.0)
+    some = slice(SAMPLED)
+    if sigma < LEAST * period or _follows(step[some] / period, single[some], gyro[: SAMPLED + 1]):
+        return None
+    square = np.zeros(len(t))
+    for x in gyro.T:  # the axis that shakes most
+        np.maximum(square[1:-1], (0.5 * (x[2:] - x[:-2])) ** 2, out=square[1:-1])
+    return np.asarray(sigma * np.sqrt(around(t, t, square, np.ones(len(t))) / period))
+
+
+def _follows(step: Array, single: Bools, gyro: Array) -> bool:
+    """Tell whether smooth values change the more the longer the step."""
+    rows = np.flatnonzero(single[:-2] & single[1:-1] & single[2:])
+    times, weight, rows = changes(np.diff(gyro, axis=0), rows)
+    total = float(weight.sum())
+    if not total:
+        return False
+    usual, longer = float(times @ weight) / total, step[rows + 1] - float(step[rows + 1] @ weight) / total
+    slope = float(np.sum(weight * longer * times)) / float(np.sum(weight * longer**2))
+    return usual > SMOOTH and slope > FOLLOWS * usual
