@@ -27,12 +27,12 @@ def vector(name: str, values: NDArray[np.floating]) -> Columns:
 
 
 def segment_of(t: Array, segmentation: Segmentation) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return the segment number and whether it is a motion at times ``t`` (n,)."""
-    starts = np.array([s.start for s in segmentation.segments])
-    owner = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, None)
+    """Return the segment number and whether it is a motion at ascending times ``t`` (n,)."""
+    starts = np.array([s.start for s in segmentation.segments[1:]])
+    rows = np.diff(np.searchsorted(t, starts - 1e-9), prepend=0, append=len(t))
     index = np.array([s.index for s in segmentation.segments], dtype=np.int32)
     moving = np.array([s.motion for s in segmentation.segments])
-    return index[owner], moving[owner]
+    return np.repeat(index, rows), np.repeat(moving, rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,8 @@ class Track:
 
     ``q`` (n, 4) attitude of the IMU at its samples; ``smoothed`` the nodes; ``q_bv`` (4,) body axes to the IMU's;
     known to ``axes_sigma`` (3,) rad; ``frame`` ``ned`` turns the world to NED and the body to FRD. Sigmas are
-    interpolated linearly in variance: between nodes 0.1 s apart they are smooth.
+    interpolated linearly in variance: between nodes 0.1 s apart they are smooth. Sigmas, bias and velocity have seven
+    digits, which is more than is known of them.
     """
 
     log: Log
@@ -99,10 +100,10 @@ class Track:
         columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}
         columns |= {f"{name}_deg": np.degrees(angles[:, i]) for i, name in enumerate(("roll", "pitch", "yaw"))}
         columns |= _sigmas("sigma_att_{}_deg", at)
-        columns |= {f"gyro_bias_{a}_rad_s": at[f"gyro_bias_{a}_rad_s"] for a in "xyz"} | _sigmas(
-            "sigma_gyro_bias_{}_rad_s", at
-        )
-        columns |= vector("position_{}_m", p) | _sigmas("sigma_position_{}_m", at, p) | vector("velocity_{}_m_s", v)
+        columns |= {f"gyro_bias_{a}_rad_s": at[f"gyro_bias_{a}_rad_s"].astype(np.float32) for a in "xyz"}
+        columns |= _sigmas("sigma_gyro_bias_{}_rad_s", at)
+        columns |= vector("position_{}_m", p) | _sigmas("sigma_position_{}_m", at, p)
+        columns |= vector("velocity_{}_m_s", v.astype(np.float32))
         columns |= {"segment": segment, "moving": moving}
         if "sigma_heading_relative_deg" in at:
             columns["sigma_heading_relative_deg"] = np.sqrt(at["sigma_heading_relative_deg"]).astype(np.float32)
@@ -110,7 +111,7 @@ class Track:
 
 
 def _sigmas(name: str, variances: Columns, known: Array | None = None) -> Columns:
-    """Return three columns of sigmas; seven digits are plenty, and half the file. NaN where ``known`` (n, 3) is."""
+    """Return three columns of sigmas, NaN where ``known`` (n, 3) is."""
     out: Columns = {}
     for i, axis in enumerate("xyz"):
         column = name.format(axis)
@@ -186,7 +187,7 @@ def euler_covariance(p: Pass) -> Array:
 def innovation_columns(found: Innovations, t: Array, segmentation: Segmentation) -> Columns:
     """Return the columns of ``innovations``, in time order."""
     order = np.argsort(found.t, kind="stable")
-    segment, _ = segment_of(t[found.node][order], segmentation)
+    segment = segment_of(t, segmentation)[0][found.node][order]
     columns: Columns = {"sensor": found.role[order], "t_s": found.t[order], "segment": segment}
     columns |= {"dof": found.dof[order].astype(np.int32), "nis": found.nis[order], "used": found.used[order]}
     return columns | {f"z{i}": np.ascontiguousarray(found.z[order, i]) for i in range(3)}

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
-NODE = 20
-"""IMU samples from one update with gravity (filterpy) or one node (gtsam) to the next: 10 Hz at 200 Hz."""
-GYRO_DENSITY, BIAS_WALK, TILT_SIGMA = 1.5e-4, 5e-6, 0.05
+NODE, FIELD = 20, 4
+"""IMU samples from one update with gravity or one node of gtsam to the next, 10 Hz at 200 Hz; with the field, 50 Hz."""
+GYRO_DENSITY, BIAS_WALK, TILT_SIGMA, FIELD_SIGMA = 1.5e-4, 5e-6, 0.05, 0.02
 FIRST_STOP_S = 5.0
 COVARIANCES = ("orientation", "angular_velocity", "linear_acceleration", "magnetic_field")
 
@@ -112,7 +112,9 @@ def filterpy(log: Drive) -> Callable[[], Array]:
         filter_.P = np.diag([0.02] * 3 + [1e-4] * 3) ** 2
         filter_.R = np.eye(3) * (GRAVITY * TILT_SIGMA) ** 2
         filter_.Q = np.diag([GYRO_DENSITY**2 * log.dt] * 3 + [BIAS_WALK**2 * log.dt] * 3)
-        filter_.H = GRAVITY * np.array([[0, -1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]], dtype=float)
+        up = np.array([0.0, 0.0, GRAVITY])
+        tilted, headed = (np.hstack([np.cross(np.eye(3), v), np.zeros((3, 3))]) for v in (up, log.field_n))
+        R_field = np.eye(3) * FIELD_SIGMA**2 * (log.field_n @ log.field_n)
         still = int(FIRST_STOP_S / log.dt)
         steps = turned((log.gyro - log.gyro[:still].mean(axis=0)) * log.dt).as_matrix()
         R, nominal = levelled(log.accel[:still].mean(axis=0)), np.empty((n, 3, 3))
@@ -122,7 +124,9 @@ def filterpy(log: Drive) -> Callable[[], Array]:
             nominal[k] = R
             filter_.predict(F=transitions[k])
             if k % NODE == 0:
-                filter_.update((R @ log.accel[k] - [0.0, 0.0, GRAVITY])[:, None])
+                filter_.update((R @ log.accel[k] - up)[:, None], H=tilted)
+            if k % FIELD == 0:
+                filter_.update((R @ log.mag[k] - log.field_n)[:, None], R_field, headed)
             states[k], covariances[k] = filter_.x, filter_.P
             R = R @ steps[k]
         x = filter_.rts_smoother(states, covariances, Fs=transitions, Qs=[filter_.Q] * n)[0]
@@ -169,7 +173,7 @@ def gtsam(log: Drive) -> Callable[[], Array]:
         still = int(FIRST_STOP_S / log.dt)
         R, bias = lib.Rot3(levelled(log.accel[:still].mean(axis=0))), log.gyro[:still].mean(axis=0)
         up, north = lib.Unit3(np.array([0.0, 0.0, 1.0])), lib.Unit3(log.field_n)
-        tilt, field = (lib.noiseModel.Isotropic.Sigma(2, sigma) for sigma in (TILT_SIGMA, 0.02))
+        tilt, field = (lib.noiseModel.Isotropic.Sigma(2, sigma) for sigma in (TILT_SIGMA, FIELD_SIGMA))
         last = (len(log.t) - 1) // NODE
         values.insert(last + 1, bias)
         for k in range(last + 1):

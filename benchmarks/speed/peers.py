@@ -20,13 +20,13 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from pathlib import Path
 
 from whole_job import SENSORS, run, spawned, stages
 
-RATE_HZ = 200
-LENGTHS_S = (60, 600, 3600)
-LONG_S = (21600, 86400)
+RATE_HZ, LENGTHS_S = 200, (60, 600, 3600)  # in MCAP
+LONG_HZ, LONG_S = 100, (3600, 21600, 86400)  # in Parquet: what writes MCAP takes a quarter of an hour for a day
 SMOOTHER = ("observe", "nodes", "forward", "backward", "full rate")
 """Stages from preintegration to full-rate attitude, sigma included."""
 
@@ -44,14 +44,14 @@ class Peer:
 
 
 PEERS = (
-    Peer("vqf", "vqf", "vqf", 86400, "offlineVQF 9D (C++), smoothed, no sigma"),
+    Peer("vqf", "vqf", "vqf", 3600, "offlineVQF 9D (C++), smoothed, no sigma"),
     Peer("imufusion", "imufusion", "imufusion", 3600, "complementary filter (C), causal, no sigma"),
-    Peer("gtsam", "gtsam", "gtsam", 600, "batch, Rot3 at 10 Hz (C++), sigma"),
-    Peer("filterpy", "filterpy", "filterpy", 600, "Kalman filter + RTS, sigma"),
-    Peer("simdkalman", "simdkalman", "simdkalman", 600, "Kalman filter + smoother, constant matrices, sigma"),
-    Peer("ahrs", "ahrs", "ahrs", 60, "EKF, causal, no sigma"),
-    Peer("rosbags", "rosbags", "rosbags", 600, "an object a message", reads=True),
-    Peer("mcap-ros2-support", "mcap_ros2", "mcap-ros2-support", 600, "an object a message", reads=True),
+    Peer("gtsam", "gtsam", "gtsam", 3600, "batch, Rot3 at 10 Hz (C++), sigma"),
+    Peer("filterpy", "filterpy", "filterpy", 3600, "Kalman filter + RTS, sigma"),
+    Peer("simdkalman", "simdkalman", "simdkalman", 3600, "Kalman filter + smoother, constant matrices, sigma"),
+    Peer("ahrs", "ahrs", "ahrs", 600, "EKF, causal, no sigma"),
+    Peer("rosbags", "rosbags", "rosbags", 3600, "an object a message", reads=True),
+    Peer("mcap-ros2-support", "mcap_ros2", "mcap-ros2-support", 3600, "an object a message", reads=True),
     Peer("roboto-mcap-codec", "mcap_codec", "roboto-mcap-codec", 3600, "Arrow batches (Rust)", reads=True),
     Peer("zstandard", "zstandard", "zstandard", 3600, "the chunks unpacked, nothing read in them", reads=True),
 )
@@ -83,14 +83,20 @@ Spent = dict[int, dict[str, float]]
 """Length of the log, s -> CPU seconds of each stage."""
 
 
-def made(folder: Path, length_s: int) -> Path:
+def made(folder: Path, length_s: int, suffix: str = ".mcap", rate_hz: int = RATE_HZ) -> Path:
     """Return the simulated drive of a length, made where it is not there yet."""
-    log = folder / str(length_s) / "drive.mcap"
+    log = folder / str(length_s) / f"drive{suffix}"
     if not log.exists():
         log.parent.mkdir(parents=True, exist_ok=True)
-        drive = ["simulate", "rover", "-q", "-o", str(log), "--sensors", SENSORS, "--seed", "1"]
-        run([*drive, "--duration", str(length_s), "--rate", str(RATE_HZ)])
+        drive = ["simulate", "rover", "-q", "-o", str(log), "--sensors", SENSORS, "--overwrite"]
+        run([*drive, "--duration", str(length_s), "--rate", str(rate_hz)])
     return log
+
+
+def whole_job(log: Path, out: Path, runs: int) -> tuple[float, float]:
+    """Return the least CPU seconds and the most memory, MB, of runs of the whole job."""
+    found = [run(["smooth", str(log), "-q", "--overwrite", "-o", str(out)]) for _ in range(runs)]
+    return min(found)[0], max(memory for _, memory in found)
 
 
 def job(name: str, log: Path, runs: int) -> dict[str, float]:
@@ -132,14 +138,26 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, marks, *rows)) + "\n"
 
 
-def page(rows: Sequence[Row], whole: Whole, spent: Spent, started: Sequence[tuple[str, float]]) -> str:
+def long_table(jobs: Whole) -> str:
+    """Return the table of long logs: CPU, what each hour more costs, memory."""
+    more = ["", *(f"{(jobs[b][0] - jobs[a][0]) / (b - a) * 3600:.2f}" for a, b in pairwise(jobs))]
+    lines = [
+        ("CPU, s", *(f"{cpu:.1f}" for cpu, _ in jobs.values())),
+        ("each hour more, s", *more),
+        ("memory, MB", *(f"{used:.0f}" for _, used in jobs.values())),
+    ]
+    return table((f"whole job, {LONG_HZ} Hz, Parquet", *map(span, jobs)), lines)
+
+
+def page(rows: Sequence[Row], whole: Whole, spent: Spent, started: Sequence[tuple[str, float]], long: Whole) -> str:
     """Return the page with all tables."""
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     head = f"""# Speed
 
 `python benchmarks/speed/peers.py` makes this page ({machine}; CPU time, user + system,
 the least of the runs; ratios below 1.3 are undecided). The log: `attest simulate rover`, {RATE_HZ} Hz IMU,
-{SENSORS.replace(",", ", ")}; ROS 2 MCAP in zstd. Smoothers get arrays, and only their own work counts; attest's is
+{SENSORS.replace(",", ", ")}; ROS 2 MCAP in zstd. (A log whose gyro looks out of scale is filtered twice: 0.2 s an hour
+more.) Smoothers get arrays, and only their own work counts; attest's is
 from preintegration to full-rate attitude with its sigma. Readers make objects or arrays of all messages; attest's
 is its read stage, the first in the process. `ratio` is the peer's cost over attest's.
 
@@ -158,6 +176,7 @@ is its read stage, the first in the process. `ratio` is the peer's cost over att
             ("whole job", *spans),
             [("CPU, s", *(f"{cpu:.2f}" for cpu, _ in jobs)), ("memory, MB", *(f"{used:.0f}" for _, used in jobs))],
         ),
+        *([long_table(long)] if long else []),
         table(("start", "CPU, s"), [(name, f"{cpu:.2f}") for name, cpu in started]),
         table(("stage, CPU s", *spans), [(n, *(f"{s.get(n, 0.0):.3f}" for s in spent.values())) for n in names]),
     ]
@@ -188,7 +207,7 @@ def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent) -> None:
         cost.plot(hours, [per_hour * h for h in hours], "--" if row.reads else "-", color=colour, lw=1, label=label)
     memory.plot(hours, [used for _, used in whole.values()], "o-", color=ink["text"], lw=2)
     cost.set(xscale="log", yscale="log", ylabel="CPU, s", title="cost (peers: reading or smoothing alone)")
-    memory.set(xscale="log", yscale="log", xlabel="log, h", ylabel="peak memory, MB")
+    memory.set(xscale="log", xlabel="log, h", ylabel="peak memory, MB", ylim=(0.0, None))
     cost.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
     for axes in (cost, memory):
         axes.grid(color=ink["grid"], lw=0.6)
@@ -203,8 +222,7 @@ def measured(folder: Path, lengths: Sequence[int], runs: int) -> tuple[list[Row]
     spent: Spent = {}
     for length, log in logs.items():
         out = folder / "speed.attest"
-        found = [run(["smooth", str(log), "-q", "--overwrite", "-o", str(out)]) for _ in range(runs)]
-        whole[length] = min(found)[0], max(memory for _, memory in found)
+        whole[length] = whole_job(log, out, runs)
         spent[length] = stages(log, out, runs)
         print(f"{span(length)}: {whole[length][0]:.2f} s CPU, {whole[length][1]:.0f} MB", flush=True)
     rows = []
@@ -222,17 +240,21 @@ def measured(folder: Path, lengths: Sequence[int], runs: int) -> tuple[list[Row]
 def main() -> None:
     """Run the benchmark and write its page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--long", action="store_true", help="6 h and 24 h too")
+    parser.add_argument("--long", action="store_true", help="6 h and 24 h too, in Parquet")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--logs", type=Path, help="folder that keeps the logs")
     parser.add_argument("--output", type=Path, default=Path("docs"))
     wanted = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        lengths = (*LENGTHS_S, *(LONG_S if wanted.long else ()))
-        rows, whole, spent = measured(wanted.logs or Path(scratch), lengths, wanted.runs)
-        started = starts(made(wanted.logs or Path(scratch), LENGTHS_S[-1]), 2 * wanted.runs)
+        folder = wanted.logs or Path(scratch)
+        rows, whole, spent = measured(folder, LENGTHS_S, wanted.runs)
+        started = starts(made(folder, LENGTHS_S[-1]), 2 * wanted.runs)
+        long = {
+            length: whole_job(made(folder / "long", length, ".parquet", LONG_HZ), folder / "speed.attest", wanted.runs)
+            for length in (LONG_S if wanted.long else ())
+        }
     wanted.output.mkdir(parents=True, exist_ok=True)
-    (wanted.output / "speed.md").write_text(page(rows, whole, spent, started), encoding="utf-8")
+    (wanted.output / "speed.md").write_text(page(rows, whole, spent, started, long), encoding="utf-8")
     draw(wanted.output / "pictures" / "speed.png", rows, whole, spent)
 
 

@@ -56,7 +56,7 @@ def main() -> None:
     wanted = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / f"drive.{wanted.format}"
-        made = ["simulate", "rover", "-q", "-o", str(log), "--sensors", SENSORS, "--seed", "1"]
+        made = ["simulate", "rover", "-q", "-o", str(log), "--sensors", SENSORS]
         run([*made, "--duration", str(3600 * wanted.hours), "--rate", str(wanted.rate)])
         size = log.stat().st_size / 1e6
         print(f"{wanted.hours:g} h at {wanted.rate:g} Hz, {wanted.format}, {size:.0f} MB, sensors: imu,{SENSORS}")
