@@ -254,7 +254,7 @@ def _places(data: Bytes, hints: Sequence[bytes], offset: int) -> Ints:
     Records must lie end to end; where those of the index do not, the whole chunk is read record by record.
     """
     pairs = [np.frombuffer(body, "<u8", (len(body) - _INDEX.size) // 16 * 2, _INDEX.size) for body in hints]
-    named = np.sort(np.concatenate([np.empty(0, "<u8"), *(p[1::2] for p in pairs)]))
+    named = np.sort(np.concatenate([np.empty(0, "<u8"), *(p[1::2] for p in pairs)]), kind="stable")  # runs, merged
     if not named.size or named[-1] > data.size - _HEADS.itemsize:
         return _scan(data, 0, data.size, offset)
     at = named.astype(np.int64)
@@ -268,7 +268,7 @@ def _places(data: Bytes, hints: Sequence[bytes], offset: int) -> Ints:
         if begins[k] < ends[k]:
             return _scan(data, 0, data.size, offset)
         parts.append(_scan(data, int(ends[k]), int(begins[k]), offset))
-    return np.sort(np.concatenate(parts))
+    return at if len(parts) == 1 else np.sort(np.concatenate(parts))
 
 
 def _every(data: Bytes, kind: np.dtype[Any]) -> NDArray[Any]:

@@ -23,9 +23,9 @@ DIRECTIONS: Mapping[str, tuple[str, ...]] = {
 UNITS: Mapping[str, str] = {"sun": "1", "magnetometer": "T", "accel": "m/s^2", "gyro": "rad/s"}
 
 
-def unchanged(fields: Array) -> Array:
+def unchanged(fields: Array) -> Sequence[Array]:
     """Take the fields as the columns."""
-    return fields
+    return [*fields]
 
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
@@ -34,7 +34,7 @@ FRAME = "header.frame_id"
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """How one message type is read: ``table`` makes ``columns`` (c, n) of the ``fields`` (k, n) of n messages.
+    """How one message type is read: ``table`` makes ``columns``, c of (n,), of the ``fields`` (k, n) of n messages.
 
     ``stamp``: the fields of seconds and nanoseconds; ``frame``: that of the frame's name.
     """
@@ -42,7 +42,7 @@ class MessageType:
     columns: tuple[str, ...]
     units: tuple[str, ...]
     fields: tuple[str, ...]
-    table: Callable[[Array], Array]
+    table: Callable[[Array], Sequence[Array]]
     channels: Callable[[str, str, Ints, Mapping[str, Array], Mapping[str, str]], Sequence[Channel]]
     stamp: tuple[str, str] = STAMP
     frame: str = FRAME
@@ -60,10 +60,9 @@ def _blank(fields: Array, where: Bools) -> Array:
     return np.where(where, np.nan, fields) if np.any(where) else fields
 
 
-def _imu(f: Array) -> Array:
+def _imu(f: Array) -> Sequence[Array]:
     """A first variance of -1 says that the reading is not provided."""
-    gyro, accel, q = _blank(f[0:3], f[10] == -1.0), _blank(f[3:6], f[11] == -1.0), _blank(f[6:10], f[12] == -1.0)
-    return np.concatenate([gyro, accel, q])
+    return [*_blank(f[0:3], f[10] == -1.0), *_blank(f[3:6], f[11] == -1.0), *_blank(f[6:10], f[12] == -1.0)]
 
 
 def _imu_channels(
@@ -103,18 +102,18 @@ def _plain(role: str) -> Callable[[str, str, Ints, Mapping[str, Array], Mapping[
     return channels
 
 
-def _magnetic(f: Array) -> Array:
-    return np.stack([*f[:3], _sigma(*f[3:])])
+def _magnetic(f: Array) -> Sequence[Array]:
+    return [*f[:3], _sigma(*f[3:])]
 
 
-def _fix(f: Array) -> Array:
+def _fix(f: Array) -> Sequence[Array]:
     """A negative status is no fix; a covariance type of 0 is no covariance."""
     status, kind, place, variances = f[0], f[1], f[2:5], f[5:8]
     known = _blank(variances, kind == 0.0)
-    return _blank(np.stack([*place, _sigma(known[0], known[1]), _sigma(known[2])]), status < 0.0)
+    return [*_blank(np.stack([*place, _sigma(known[0], known[1]), _sigma(known[2])]), status < 0.0)]
 
 
-def _location(f: Array) -> Array:
+def _location(f: Array) -> Sequence[Array]:
     """As a NavSatFix, but without a status: Foxglove has none."""
     return _fix(np.concatenate([np.zeros((1, f.shape[1])), f]))
 
@@ -127,9 +126,9 @@ def _pose_channels(
     return [_only(f"{topic}#{part}", kind, "", stamps_ns, values, units, columns) for part, columns in parts]
 
 
-def _odometry(f: Array) -> Array:
+def _odometry(f: Array) -> Sequence[Array]:
     velocity, variances = f[:3], f[3:]
-    return np.stack([*_blank(velocity, variances >= IGNORED_VARIANCE), *map(_sigma, variances)])
+    return [*_blank(velocity, variances >= IGNORED_VARIANCE), *map(_sigma, variances)]
 
 
 def _vector_channels(

@@ -6,7 +6,6 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -19,7 +18,6 @@ from .ros2_layout import Bytes, Layout
 
 CLOCK_OFFSET_S = 0.05
 """Header stamps of two topics that differ by more against the time of logging are on different clocks."""
-Table = TypeVar("Table", Array, Ints)
 LATEST_S = LATEST_NS // 10**9
 
 UNDECODABLE = (
@@ -53,19 +51,20 @@ class Topic:
     lay: Callable[[Bytes], Layout | None] | None = None
     layout: Layout | None = None
     frame_id: str = ""
-    stamps: Ints = field(default_factory=lambda: np.empty((0, 3), dtype=np.int64))  # header, log, publish; and room
-    imu: Array = field(default_factory=lambda: np.empty((0, 0)))  # those columns of the type, side by side; and room
+    stamps: Ints = field(default_factory=lambda: np.empty((3, 0), dtype=np.int64))  # header, log, publish; and room
+    imu: Array = field(default_factory=lambda: np.empty((0, 0)))  # those columns of the type, and room
     others: Array = field(default_factory=lambda: np.empty((0, 0)))
     count: int = 0
     expected: int = 0  # messages that the file states: room is made for them at once
 
     def clocks(self) -> Ints:
         """Return header stamp, time of logging and time of publishing, (3, n) ns."""
-        return self.stamps[: self.count].T
+        return self.stamps[:, : self.count]
 
     def columns(self) -> dict[str, Array]:
         """Return the columns of the type (n,); those of an IMU lie side by side, as they are used."""
-        return dict(zip(self.type.columns, (*self.imu[: self.count].T, *self.others[: self.count].T), strict=True))
+        values = (*self.imu[:, : self.count], *self.others[:, : self.count])
+        return dict(zip(self.type.columns, values, strict=True))
 
     def add(self, path: Path, batch: Batch, rows: Ints) -> None:
         """Read the messages ``rows`` of a batch.
@@ -81,18 +80,22 @@ class Topic:
         if not -LATEST_S <= found[:2].min() <= found[:2].max() <= LATEST_S:
             raise AttestError(f"{path}: a stamp of {self.name} is no time", NOT_OF_TYPE)
         header, end = found[0].astype(np.int64) * 1_000_000_000 + found[1].astype(np.int64), self.count + rows.size
-        if end > len(self.stamps):
-            room = max(end, self.expected, 2 * len(self.stamps))
-            of_imu = sum(name in COLUMNS["imu"] for name in self.type.columns)  # they come first
-            self.stamps = _roomier(self.stamps[: self.count], room, 3)
-            self.imu = _roomier(self.imu[: self.count], room, of_imu)
-            self.others = _roomier(self.others[: self.count], room, len(self.type.columns) - of_imu)
-        for column, stamp in enumerate((header, batch.log_ns[rows], batch.publish_ns[rows])):
-            self.stamps[self.count : end, column] = stamp
-        table = self.type.table(found[2:]).T
-        self.imu[self.count : end] = table[:, : self.imu.shape[1]]
-        self.others[self.count : end] = table[:, self.imu.shape[1] :]
+        if end > self.stamps.shape[1]:
+            self._make_room(max(end, self.expected, 2 * self.stamps.shape[1]))
+        new = header, batch.log_ns[rows], batch.publish_ns[rows], *self.type.table(found[2:])
+        for row, values in zip((*self.stamps, *self.imu, *self.others), new, strict=True):
+            row[self.count : end] = values
         self.count = end
+
+    def _make_room(self, rows: int) -> None:
+        """Make room for so many messages; pages that are not written to are not there."""
+        of_imu = sum(name in COLUMNS["imu"] for name in self.type.columns)  # they come first
+        stamps, imu, others = self.stamps[:, : self.count], self.imu[:, : self.count], self.others[:, : self.count]
+        self.stamps = np.empty((3, rows), dtype=np.int64)
+        self.imu = np.empty((of_imu, rows), order="F")  # side by side, as they are used
+        self.others = np.empty((len(self.type.columns) - of_imu, rows))
+        if self.count:
+            self.stamps[:, : self.count], self.imu[:, : self.count], self.others[:, : self.count] = stamps, imu, others
 
     def _at_once(self, path: Path, batch: Batch, rows: Ints) -> Array | None:
         """Return stamp and fields (2 + k, m), or None where a message is laid out in another way."""
@@ -119,13 +122,6 @@ class Topic:
             raise AttestError(reason, NOT_OF_TYPE) from None
         self.frame_id = self.frame_id or frame_id
         return row
-
-
-def _roomier(table: Table, rows: int, columns: int) -> Table:
-    """Return a table with room for more rows; pages that are not written to are not there."""
-    out = np.empty((rows, columns), dtype=table.dtype)
-    out[: len(table)] = table.reshape(len(table), columns)
-    return out
 
 
 def recording(
