@@ -19,6 +19,9 @@ from .spikes import AROUND, spikes
 STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
 
+HELD_RUN, HELD_QUANTILE, HELD_TIMES = 20, 0.95, 5.0
+"""Rows of one speed of wheels that are many; and against what is usual of the log."""
+
 GPS_SIGMA_M = 3.0  # where nothing is stated
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
 DRIVING_M_S, SIDEWAYS, NOISY = 0.1, 3.0, 6.0
@@ -69,6 +72,8 @@ def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnin
         inside &= _fresh(role, channel.name, values, warnings)
     if role == "magnetometer":
         inside &= _calm(channel.name, values, warnings)
+    if role == "odometry":
+        inside &= _turning(channel.name, stamps_ns, values, warnings)
     t = seconds(stamps_ns[inside], span.t0_ns)
     sigma = None if sigma is None or not np.any(np.isfinite(sigma[inside])) else sigma[inside]
     return Fixes(role, channel.name, t, values[inside], sigma)
@@ -142,6 +147,28 @@ def _calm(name: str, values: Array, warnings: list[Warn]) -> Bools:
         message = f"{np.count_nonzero(rows)} of {rows.size} measurements of {name} (magnetometer) dropped: spikes"
         warnings.append(Warn("magnetometer-spikes", message, "what is left is used; is it near a switched current?"))
     return ~rows
+
+
+def _turning(name: str, stamps_ns: Ints, values: Array, warnings: list[Warn]) -> Bools:
+    """Tell measurements of wheels from one speed held for long, where speeds else change: a counter that hangs, or
+    wheels that spin. Wheels that stand may say so.
+    """
+    held = np.append(np.False_, np.all((values[1:] == values[:-1]) | np.isnan(values[1:]), axis=1))
+    starts = np.flatnonzero(~held)
+    runs = np.diff(np.append(starts, held.size))
+    rolling = np.abs(values[starts, 0]) > DRIVING_M_S
+    usual = float(np.quantile(runs[rolling], HELD_QUANTILE)) if rolling.any() else 0.0
+    hangs = rolling & (runs > max(HELD_RUN, HELD_TIMES * usual))
+    stuck: Bools = np.repeat(hangs, runs)
+    if stuck.any():
+        last = starts[hangs] + runs[hangs] - 1
+        seconds_held = float(np.max(stamps_ns[last] - stamps_ns[starts[hangs]])) * 1e-9
+        message = f"{np.count_nonzero(stuck)} of {stuck.size} measurements of {name} (odometry) dropped"
+        hint = "does the counter hang, or do the wheels spin?"
+        warnings.append(
+            Warn("odometry-stuck", f"{message}: one speed, to the last bit, for up to {seconds_held:.1f} s", hint)
+        )
+    return ~stuck
 
 
 def _columns(channel: Channel, names: tuple[str, ...], target: str) -> Array:

@@ -233,6 +233,7 @@ class Smoothing(Section):
     )
     node_spacing_s: PositiveSeconds = Field(
         0.1,
+        le=10.0,
         description="step between nodes; in long motions of long logs up to five times that, if not stated",
     )
     absolute: Literal["auto", "stops", "always"] = Field(

@@ -513,6 +513,24 @@ class TestFixes:
         assert "4 of 9" in log.warnings[0].message
         assert "5 in a row" in log.warnings[0].message
 
+    @pytest.mark.parametrize(("held", "told"), [(1.5, ["odometry-stuck"]), (0.0, [])])
+    def test_wheels_that_hold_one_speed_for_long_are_dropped_unless_they_stand(
+        self, held: float, told: list[str]
+    ) -> None:
+        t = np.arange(0.0, 9.9, 0.05)
+        speed = 1.5 + np.random.default_rng(6).normal(0.0, 0.02, t.size)
+        speed[50:110] = held
+        log = log_of(imu(), fixes("odometry", t, speed[:, None]))
+        assert codes(log) == told
+        assert log.fixes["odometry"].t.size == t.size - (60 if told else 0)
+        assert not told or "for up to 3.0 s" in log.warnings[0].message
+
+    def test_coarse_wheels_may_hold_a_speed(self) -> None:
+        t = np.arange(0.0, 9.9, 0.05)
+        speed = np.round(1.5 + 0.3 * np.sin(0.7 * t), 1)
+        log = log_of(imu(), fixes("odometry", t, speed[:, None]))
+        assert codes(log) == []
+
     def test_fixes_outside_the_imu_are_counted_and_those_just_outside_are_not(self) -> None:
         values = np.random.default_rng(5).normal(size=(6, 3))
         near = log_of(imu(), fixes("sun", [-0.3, 1, 2, 3, 4, 10.2], values))

@@ -20,7 +20,7 @@ from ..choice import LIVELY_RAD_S, liveliness
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .fixes import FAST_M_S, far_off, origin_of, place_of
 from .model import Inertial, Trajectory, inertial_of
-from .start import heading_of_velocity, heading_of_wheels, heading_offset
+from .start import heading_of_velocity, heading_of_wheels, heading_offset, mirrored
 from .states import Layout, State, layout
 from .streams import clock_of, height_of, velocity_of
 
@@ -86,6 +86,7 @@ def assemble(
     places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
     doubts = [warn for role in roles for warn in far_off(drive, role)]
     wheels, told = _wheels(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
+    doubts += [_mirrored(place.role) for place in places if mirrored(drive.log.imu, nodes.t, q, place, wheels)]
     if heading == "relative" and (places or "gps_velocity" in drive.log.fixes):
         turn, shows = _headed(drive, nodes, q, bias, places, wheels)
         if shows:
@@ -157,6 +158,14 @@ def _headed(
     if len(level) > 2:  # what is stated may be too small
         noise = max(noise, float(np.median(np.abs(np.diff(level, 2, axis=0)))) * MAD / np.sqrt(6.0))
     return turn, sigma < NORTH_RAD or went > WENT * noise
+
+
+def _mirrored(role: str) -> Warn:
+    swapped = "latitude and longitude" if role == "gps" else "east and north"
+    message = f"the fixes of {role} are a mirror image of the path that the other sensors show"
+    return Warn(
+        f"{role}-mirrored", message, f"are {swapped} swapped? mend the driver, or the names with --columns", fatal=True
+    )
 
 
 def motion_of(drive: Drive) -> str:

@@ -10,6 +10,9 @@ from .aids import Place, Velocity, Wheels
 
 APART_S, LEG_S = 1.0, 10.0  # fixes at least this far apart are compared, with the IMU and with the wheels
 LEAST_TRIPLES = 5
+LIKE, CLEARLY = 0.8, 0.3  # coherence of a path with another that is mirrored; times what is left of it as it is
+Paths = tuple[Array, Array]
+"""Two paths, both as steps or changes (k, 2): as seen, and as felt but for a turn."""
 
 
 def heading_offset(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) -> tuple[float, float]:
@@ -27,15 +30,8 @@ def heading_offset(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) ->
     t, q : (n,), (n, 4) nodes and their attitude, heading unknown
     bias_a : (3,) accelerometer bias, m/s^2
     """
-    a, v = _felt(imu, t, q, bias_a)
-    dt = np.diff(imu.t)[:, None]
-    p = np.concatenate([np.zeros((1, 2)), np.cumsum(v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:]), axis=0)])
-    rows = _apart(place.t)
-    if len(rows) < LEAST_TRIPLES + 2:
-        return 0.0, np.pi
-    when = place.t[rows]
-    seen = _second(when, place.place_n[rows, :2])
-    return _turn(seen, _second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1)))
+    paths = _by_imu(imu, t, q, bias_a, place)
+    return (0.0, np.pi) if paths is None else _turn(*paths)
 
 
 def heading_of_velocity(imu: Imu, t: Array, q: Array, velocity: Velocity) -> tuple[float, float]:
@@ -51,15 +47,49 @@ def heading_of_velocity(imu: Imu, t: Array, q: Array, velocity: Velocity) -> tup
 
 def heading_of_wheels(t: Array, q: Array, wheels: Wheels, place: Place) -> tuple[float, float]:
     r"""Return the turn of :func:`heading_offset` from legs of the path: :math:`p_1-p_0=R_z(\psi)\int Rv_b`."""
+    paths = _by_wheels(t, q, wheels, place)
+    return (0.0, np.pi) if paths is None else _turn(*paths)
+
+
+def mirrored(imu: Imu, t: Array, q: Array, place: Place, wheels: Wheels | None) -> bool:
+    r"""Return whether the fixes are the mirror image of the path that wheels or IMU show.
+
+    With paths :math:`z,w` in the complex plane :math:`w` turned is :math:`cw`, mirrored :math:`c\bar w`; the coherence
+    of both is :math:`|\sum\bar zw|^2/(\sum|z|^2\sum|w|^2)`.
+    """
+    paths = _by_imu(imu, t, q, np.zeros(3), place) if wheels is None else _by_wheels(t, q, wheels, place)
+    if paths is None:
+        return False
+    z, w = (path @ np.array([1.0, 1j]) for path in paths)
+    size = max(float(np.sum(np.abs(z) ** 2) * np.sum(np.abs(w) ** 2)), 1e-300)
+    turned, flipped = (float(np.abs(np.sum(np.conj(z) * x)) ** 2) / size for x in (w, np.conj(w)))
+    return flipped > LIKE and 1.0 - flipped < CLEARLY * (1.0 - turned)
+
+
+def _by_imu(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) -> Paths | None:
+    """Return the changes of mean velocity at every middle of three fixes, as seen and as felt."""
+    a, v = _felt(imu, t, q, bias_a)
+    dt = np.diff(imu.t)[:, None]
+    p = np.concatenate([np.zeros((1, 2)), np.cumsum(v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:]), axis=0)])
+    rows = _apart(place.t)
+    if len(rows) < LEAST_TRIPLES + 2:
+        return None
+    when = place.t[rows]
+    felt = np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1)
+    return _second(when, place.place_n[rows, :2]), _second(when, felt)
+
+
+def _by_wheels(t: Array, q: Array, wheels: Wheels, place: Place) -> Paths | None:
+    """Return the legs between fixes, as seen and as driven."""
     velocity = np.zeros((len(t), 2))  # nodes without wheels are rests
     velocity[wheels.node] = rotation.rotate(q[wheels.node], wheels.velocity_v @ wheels.R_vb)[:, :2]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     rows = _apart(place.t, LEG_S)
     if len(rows) < LEAST_TRIPLES + 1:
-        return 0.0, np.pi
+        return None
     went = np.stack([np.interp(place.t[rows], t, path[:, i]) for i in range(2)], axis=1)
-    return _turn(np.diff(place.place_n[rows, :2], axis=0), np.diff(went, axis=0))
+    return np.diff(place.place_n[rows, :2], axis=0), np.diff(went, axis=0)
 
 
 def _felt(imu: Imu, t: Array, q: Array, bias_a: Array) -> tuple[Array, Array]:

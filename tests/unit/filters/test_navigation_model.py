@@ -14,10 +14,11 @@ from attest_cli.filters import Drive, indirect
 from attest_cli.filters.navigation.aids import Magnetometer, Place, Wheels
 from attest_cli.filters.navigation.model import linearise
 from attest_cli.filters.navigation.problem import Problem, assemble
-from attest_cli.filters.navigation.start import heading_of_wheels
+from attest_cli.filters.navigation.start import heading_of_wheels, mirrored
 from attest_cli.maths import rotation
 from attest_cli.nodes.noise import find_noise
 from attest_cli.prepare import prepare
+from attest_cli.records import Imu
 from attest_cli.segment import find_segments
 from attest_cli.simulate import RoverOptions, simulate_rover
 from attest_cli.world import find_world
@@ -115,3 +116,9 @@ def test_a_slow_rover_finds_north_by_its_wheels(turn: float) -> None:
     found, sigma = heading_of_wheels(t, q, wheels, place)
     assert abs(np.angle(np.exp(1j * (found - turn)))) < 4.0 * sigma
     assert sigma < 0.1
+    imu = Imu(t, np.zeros((len(t), 3)), np.zeros((len(t), 3)))  # not asked where there are wheels
+    assert not mirrored(imu, t, q, place, wheels)
+    swapped = seen[:, [1, 0, 2]] * np.array([1.4, 1.0, 1.0])  # as degrees of longitude are shorter
+    assert mirrored(imu, t, q, replace(place, place_n=swapped), wheels)
+    straight = np.stack([np.linspace(0.0, 90.0, len(seen)), np.zeros(len(seen)), np.zeros(len(seen))], axis=1)
+    assert not mirrored(imu, t, q, replace(place, place_n=straight), wheels)
