@@ -49,11 +49,14 @@ def locate(
         seat = mounting.find_mounting(log.imu, q, segmentation, odometry, est.world.gravity)
         wheels, doubts = _trusted(log, segmentation, odometry, seat, settings)
         told += doubts
+    if wheels is not None:
+        wheels, doubts = _gripping(log, segmentation, est, wheels, _forward(seat, settings))
+        told += doubts
     vehicle = _vehicle(seat if wheels is not None else None, settings)
     if est.smoothed.p is not None and mode == "auto":
         return position.navigated(log.imu.t, est.smoothed, segmentation), vehicle, told
     if wheels is not None and mode in {"auto", "odometry"}:
-        q_bv = seat.q_bv if seat is not None and settings.imu.mounting == "auto" and seat.certain else IDENTITY
+        q_bv = _forward(seat, settings)
         found = position.odometry_position(log.imu, q, q_bv, est.errors, segmentation, wheels, settings, log.gaps)
         return found, vehicle, told
     if mode == "none" or not segmentation.stops:
@@ -97,6 +100,29 @@ def _trusted(
         word = "late" if lag > 0 else "early"
         told.append(Warn("odometry-late", f"odometry is {abs(lag):.2f} s {word} against the IMU: corrected"))
     return replace(odometry, t=odometry.t - lag), told
+
+
+def _forward(seat: Mounting | None, settings: Settings) -> Array:
+    """Return the axes (4,) in which wheels drive forward, to the IMU's: as the drive shows, or the IMU's own."""
+    return seat.q_bv if seat is not None and settings.imu.mounting == "auto" and seat.certain else IDENTITY
+
+
+def _gripping(
+    log: Log, segmentation: Segmentation, est: Estimate, wheels: Fixes, q_bv: Array
+) -> tuple[Fixes, list[Warn]]:
+    """Return the odometry without the stretches in which its wheels slip or hang, and say so."""
+    forward = rotation.matrix(q_bv)[:, 0]
+    spans, most = position.slips(log.imu, est.q, segmentation, wheels, forward, est.world.gravity)
+    if not len(spans):
+        return wheels, []
+    bad = np.any([(wheels.t > start) & (wheels.t < end) for start, end in spans], axis=0)
+    sigma = None if wheels.sigma is None else wheels.sigma[~bad]
+    message = f"wheels and accelerometer differ by up to {most:.2g} m/s at {spans[0, 0]:.0f} to {spans[0, 1]:.0f} s"
+    more = f" and {len(spans) - 1} times more" if len(spans) > 1 else ""
+    hint = "slip, or a counter that hangs: the position is not taken from the wheels there"
+    return replace(wheels, t=wheels.t[~bad], values=wheels.values[~bad], sigma=sigma), [
+        Warn("odometry-slips", f"{message}{more}", hint)
+    ]
 
 
 def _contradiction(segmentation: Segmentation, odometry: Fixes, seat: Mounting | None, *, given: bool) -> str:

@@ -19,8 +19,8 @@ from .spikes import AROUND, spikes
 STALE_RUN = 3
 """More equal values in a row than this are repeats of an old measurement."""
 
-HELD_RUN, HELD_QUANTILE, HELD_TIMES = 20, 0.95, 5.0
-"""Rows of one speed of wheels that are many; and against what is usual of the log."""
+HELD_RUN, HELD_QUANTILE, HELD_TIMES, HELD_SHARE = 20, 0.95, 5.0, 0.3
+"""Rows of one speed of wheels that are many, and against what is usual of the log; the most of them that may hang."""
 
 GPS_SIGMA_M = 3.0  # where nothing is stated
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
@@ -159,6 +159,7 @@ def _turning(name: str, stamps_ns: Ints, values: Array, warnings: list[Warn]) ->
     rolling = np.abs(values[starts, 0]) > DRIVING_M_S
     usual = float(np.quantile(runs[rolling], HELD_QUANTILE)) if rolling.any() else 0.0
     hangs = rolling & (runs > max(HELD_RUN, HELD_TIMES * usual))
+    hangs &= runs[hangs].sum() < HELD_SHARE * runs[rolling].sum()  # else it is how these wheels are told
     stuck: Bools = np.repeat(hangs, runs)
     if stuck.any():
         last = starts[hangs] + runs[hangs] - 1

@@ -519,11 +519,11 @@ class TestFixes:
     ) -> None:
         t = np.arange(0.0, 9.9, 0.05)
         speed = 1.5 + np.random.default_rng(6).normal(0.0, 0.02, t.size)
-        speed[50:110] = held
+        speed[50:100] = held
         log = log_of(imu(), fixes("odometry", t, speed[:, None]))
         assert codes(log) == told
-        assert log.fixes["odometry"].t.size == t.size - (60 if told else 0)
-        assert not told or "for up to 3.0 s" in log.warnings[0].message
+        assert log.fixes["odometry"].t.size == t.size - (50 if told else 0)
+        assert not told or "for up to 2.5 s" in log.warnings[0].message
 
     def test_coarse_wheels_may_hold_a_speed(self) -> None:
         t = np.arange(0.0, 9.9, 0.05)

@@ -1,0 +1,53 @@
+"""Wheels against the accelerometer, stretch by stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from attest_cli.position import slips
+from attest_cli.records import Array, Fixes, Imu, Segment, Segmentation
+
+G = 9.81
+T = np.arange(0.0, 120.0, 0.01)
+SLOPE_RAD = 0.05
+
+
+def drive(rng: np.random.Generator) -> tuple[Imu, Array, Array]:
+    """IMU, attitude and true speed of a drive along a slope, 1 to 2 m/s; the IMU sits as the vehicle does."""
+    speed = 1.5 + 0.5 * np.sin(0.4 * T)
+    ahead = 0.2 * np.cos(0.4 * T) + G * np.sin(SLOPE_RAD)
+    force = np.stack([ahead, 0.0 * T, np.full_like(T, G * np.cos(SLOPE_RAD))], axis=1)
+    q = np.tile([np.cos(0.5 * SLOPE_RAD), 0.0, -np.sin(0.5 * SLOPE_RAD), 0.0], (len(T), 1))  # nose up
+    imu = Imu(T, np.zeros_like(force), force + np.array([0.02, 0.0, 0.0]) + rng.normal(0.0, 0.3, force.shape))
+    return imu, q, speed
+
+
+@pytest.mark.parametrize(
+    ("change", "span"),
+    [
+        (lambda _, v: v, None),
+        (lambda _, v: 1.05 * v, None),
+        (lambda t, v: np.interp(t - 0.2, t, v), None),
+        (lambda t, v: np.where((t > 40.0) & (t < 55.0), v + 1.5, v), (40.0, 55.0)),
+        (lambda t, v: np.where((t > 40.0) & (t < 42.0), v + 3.0, v), (40.0, 42.0)),
+    ],
+    ids=["true", "scaled", "late", "spins", "spins for a moment"],
+)
+def test_wheels_that_slip_are_found_where_they_do(
+    change: Callable[[Array, Array], Array], span: tuple[float, float] | None
+) -> None:
+    rng = np.random.default_rng(8)
+    imu, q, speed = drive(rng)
+    t = T[::5]
+    told = change(t, speed[::5]) + rng.normal(0.0, 0.03, len(t))
+    odometry = Fixes("odometry", "/odom", t, told[:, None], None)
+    motion = Segment(1, True, 0.0, 119.0, 0, 11900, 0.0, 119.0)
+    motions = Segmentation((motion,), np.zeros(len(T), dtype=np.float32), 1.0, 2.0, np.zeros(3), np.nan, "file")
+    found, most = slips(imu, q, motions, odometry, np.array([1.0, 0.0, 0.0]), G)
+    assert len(found) == (span is not None)
+    if span is not None:
+        assert found[0] == pytest.approx(span, abs=3.1)
+        assert most > 0.5
