@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -12,10 +13,12 @@ from ...records import FilterRun, Warn
 from ...settings import Settings
 from .. import Drive, Forward
 from . import solve
+from .aids import Place
 from .problem import Problem
 from .rounds import Navigated, navigate
 from .shown import shown
 
+SCATTERED = 3.0  # times the sigma of fixes
 CONTRADICTED = 4.0  # mean square of innovations over what is expected
 
 
@@ -26,7 +29,7 @@ def forward(drive: Drive) -> Forward:
     if wanders:
         done = navigate(replace(drive, settings=_as_rover(drive.settings)))
     late = (_late(role, lag) for role, lag in sorted(done.learnt.lags.items()))
-    told = (*wanders, *done.begun.warnings, *done.problem.warnings, *late)
+    told = (*wanders, *done.begun.warnings, *done.problem.warnings, *late, *_scattered(drive, done))
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done))
 
@@ -51,6 +54,23 @@ def _as_rover(settings: Settings) -> Settings:
 def _late(role: str, lag: float) -> Warn:
     word = "late" if lag > 0 else "early"
     return Warn(f"{role}-late", f"{role} is {abs(lag):.3f} s {word} against the IMU: corrected")
+
+
+def _scattered(drive: Drive, done: Navigated) -> Iterator[Warn]:
+    """Say which fixes scatter, or wander, far more than the log says of them, or than is usual of a receiver."""
+    colours = {state.name: state for state in done.problem.layout.coloured()}
+    for place in (aid for aid in done.problem.aids if isinstance(aid, Place)):
+        if place.role != "gps" and drive.log.fixes[place.role].sigma is None:
+            continue  # nobody knows what it should be
+        found = float(np.nanmedian(place.sigma[:, :2]))
+        expected = found / done.learnt.factors.get(place.role, 1.0)
+        found = float(np.hypot(found, np.max(colours[f"{place.role} drift"].sigma)))
+        if found > SCATTERED * expected:
+            message = (
+                f"{place.role} scatters by {found:.2g} m, where {expected:.2g} m were expected: its sigma is widened"
+            )
+            hint = f"outliers, a jump, reflections? [{place.role}] sigma_m states it"
+            yield Warn(f"{place.role}-scatters", message, hint)
 
 
 def _run(done: Navigated) -> FilterRun:

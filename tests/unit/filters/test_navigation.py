@@ -123,6 +123,16 @@ def car(
     )
 
 
+@pytest.mark.parametrize(("stated", "told"), [(None, False), (0.5, False), (0.1, True)])
+def test_fixes_that_scatter_far_more_than_their_log_says_are_told(stated: float | None, told: bool) -> None:
+    work, _, _ = car(21, sigma=0.5)
+    fixes = work.log.fixes["position"]
+    sigma = None if stated is None else np.full(fixes.values.shape, stated)
+    log = replace(work.log, fixes={"position": replace(fixes, sigma=sigma)})
+    found = navigation.forward(replace(work, log=log))
+    assert ("position-scatters" in {w.code for w in found.warnings}) == told
+
+
 @pytest.mark.parametrize("turn", [-3.0, 0.5, 2.0])
 def test_heading_is_found_from_where_the_car_went(turn: float) -> None:
     work, _, _ = car(1, turn=turn)
