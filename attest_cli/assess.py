@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from .maths import rotation
-from .maths.consistency import mean_nis
 from .nodes.noise import Noise, stop_ranges
 from .position import Position
 from .records import Array, Bools, Log, Segment, Segmentation
@@ -71,13 +70,6 @@ def segment_checks(
             comparable = np.where(sigma[k] < VAGUE_RAD, apart[k] / sigma[k], np.nan)
             found[s.index] = (float(t[k]), comparable)
     return found
-
-
-def agree(apart: Sequence[float]) -> bool:
-    """Whether separations (m,) in sigmas are those of two passes whose sigma holds: their mean square is judged as that
-    of innovations is.
-    """
-    return not len(apart) or mean_nis(float(np.mean(np.square(apart))), len(apart), 1) != "larger"
 
 
 def _inside(t: Array, start: float, end: float) -> slice:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..maths.consistency import agree
 from ..records import Result
 from . import reduce, style, ticks
 from .drive import AXES, Drive, Part
@@ -14,8 +15,6 @@ from .page import Page, Panel
 from .words import listed, number, two_digits
 
 INSIDE = 2.0
-SHARE_OUTSIDE = 0.0455  # of a normal variable, outside 2 sigma
-ALARM, FAR = 0.01, 4.0  # doubt the sigma below this probability, or where one check lies this far out
 DOTS = 3.5
 WIDE_DEG, DOUBTFUL_DEG, TIMES = 20.0, 5.0, 10.0  # 2 sigma too wide to compare: always; if so many smoothed sigma
 
@@ -54,23 +53,12 @@ def checks_inside(drive: Drive) -> tuple[int, int]:
     return sum(abs(v) <= INSIDE for _, _, v in found), len(found)
 
 
-def chance(outside: int, checks: int, share: float = SHARE_OUTSIDE) -> float:
-    """Probability of ``outside`` or more of ``checks`` independent ones outside, by the binomial law."""
-    term, below = (1.0 - share) ** checks, 0.0
-    for k in range(outside):
-        below += term
-        term *= (checks - k) / (k + 1) * share / (1.0 - share)
-    return max(0.0, 1.0 - below)
-
-
 def status_of(drive: Drive) -> str:
-    """PASS where the count outside 2 sigma is what chance gives and no check is far out; WARN where none can fail."""
+    """PASS where the separations are those of two sigmas that hold; WARN where none can fail."""
     found = checks_of(drive)
     if not found and every_check(drive):
         return "WARN"
-    inside, checks = checks_inside(drive)
-    far = max((abs(v) for _, _, v in found), default=0.0)
-    return "WARN" if chance(checks - inside, checks) < ALARM or far > FAR else "PASS"
+    return "PASS" if agree([v for _, _, v in found]) else "WARN"
 
 
 def draw(result: Result, theme: str = "light") -> Page | None:

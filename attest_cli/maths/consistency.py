@@ -6,6 +6,7 @@ Written out because importing scipy.special costs a fifth of a second at every s
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
 
@@ -66,6 +67,13 @@ def mean_nis(mean: float, used: int, dof: int) -> Literal["smaller", "fits", "la
     degrees = max(1, min(used * dof, MOST_DEGREES))
     low, high = (upper_quantile(degrees, p) * dof / degrees for p in (1.0 - 0.5 * BAND, 0.5 * BAND))
     return "smaller" if mean < low / SLIGHT else "larger" if mean > high * SLIGHT else "fits"
+
+
+def agree(apart: Sequence[float]) -> bool:
+    """Return whether separations (m,) in sigmas are those of two passes whose sigma holds: their mean square is judged
+    as that of innovations is.
+    """
+    return not len(apart) or mean_nis(float(np.mean(np.square(apart))), len(apart), 1) != "larger"
 
 
 def lasting(z: Array) -> tuple[float, int]:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..assess import Pass, agree
+from ..assess import Pass
 from ..estimate import Estimate
-from ..maths.consistency import FEW, lasting, mean_nis, noise_status, rejection_status
+from ..maths.consistency import FEW, agree, lasting, mean_nis, noise_status, rejection_status
 from ..position import Position
 from ..records import Array, Innovations, Log, Recording, Segmentation, Warn
 from ..settings import Effective

@@ -72,14 +72,6 @@ def test_separation_is_forward_minus_backward_about_world_axes(rng: np.random.Ge
     assert np.allclose(sigma, 3e-3)
 
 
-def test_passes_agree_as_chance_has_it(rng: np.random.Generator) -> None:
-    assert all(assess.agree(rng.normal(size=n)) for n in (1, 2, 4, 9, 200) for _ in range(500))
-    assert assess.agree([])
-    assert assess.agree(1.1 * rng.normal(size=4000))  # sure, and of no consequence
-    assert not assess.agree([2.1, 0.3, -6.0, 0.1])
-    assert not assess.agree(2.0 * rng.normal(size=40))
-
-
 def test_passes_of_a_good_drive_agree_where_both_are_equally_sure(
     work: Job, run: FilterRun, smoothed: Smoothed
 ) -> None:

@@ -34,3 +34,11 @@ def test_an_error_that_lasts_stands_out_of_white_noise() -> None:
     assert square > 4.0
     assert consistency.noise_status(square, sums, 2) != "PASS"
     assert consistency.lasting(white[:9]) == (0.0, 0)
+
+
+def test_passes_agree_as_chance_has_it(rng: np.random.Generator) -> None:
+    assert all(consistency.agree(rng.normal(size=n)) for n in (1, 2, 4, 9, 200) for _ in range(500))
+    assert consistency.agree([])
+    assert consistency.agree(1.1 * rng.normal(size=4000))  # sure, and of no consequence
+    assert not consistency.agree([2.1, 0.3, -6.0, 0.1])
+    assert not consistency.agree(2.0 * rng.normal(size=40))
