@@ -14,6 +14,7 @@ import numpy as np
 
 from ...maths import adjoint, strapdown
 from ...records import Array
+from . import colours
 from .aids import Aid, Place, Rows, Wheels
 from .model import Inertial, Linear, Trajectory, linearise, renoised
 from .solve import forward, log_likelihood, pile
@@ -72,7 +73,7 @@ class Window:
             (aid, replace(rows, sigma=rows.sigma * factors.get(aid.role, 1.0) if _free(aid) else rows.sigma))
             for aid, rows in self.rows
         ]
-        return scaled_prior(self.P0, self.form, factors), lin, placed
+        return colours.steady(self.P0, self.form.scaled(factors)), lin, placed
 
 
 def identify(
@@ -132,15 +133,7 @@ def _slow(factors: Mapping[str, float], aids: Sequence[Aid]) -> list[str]:
     """Return what may be at fault in an outage: coloured errors, and the IMU where no wheels bridge it."""
     wheels = any(isinstance(aid, Wheels) for aid in aids)
     imu = [] if wheels else ["gyro", "accelerometer"]
-    return [name for name in factors if name in imu or name.endswith((" drift", " slip"))]
-
-
-def scaled_prior(P0: Array, form: Layout, factors: Mapping[str, float]) -> Array:
-    """Return the prior covariance (s, s) with the sigmas of named groups times a factor."""
-    scale = np.ones(form.size)
-    for name in factors.keys() & form.parts.keys():
-        scale[form.parts[name]] = factors[name]
-    return P0 * np.outer(scale, scale)
+    return [name for name in factors if name in imu or name.endswith((" drift", " drift rate", " slip"))]
 
 
 def scaled_inertial(inertial: Inertial, factors: Mapping[str, float]) -> Inertial:

@@ -16,6 +16,7 @@ from ...maths import rotation, strapdown
 from ...maths.propagation import Steps
 from ...nodes import Nodes
 from ...records import Array, Bools, Imu
+from . import colours
 from .states import Layout
 
 FAR_RAD = 0.01  # defects beyond this turn the linearisation
@@ -94,22 +95,13 @@ def linearise(inertial: Inertial, layout: Layout, at: Trajectory) -> Linear:
     if "accelerometer scale" in layout:
         for row, slope in ((3, R @ motion.v_ba), (6, R @ motion.p_ba)):
             Phi[:, row : row + 3, layout.parts["accelerometer scale"]] = slope * motion.force[:, None, :]
-    for state in layout.coloured():
-        index = np.arange(s)[layout.parts[state.name]]
-        Phi[:, index, index] = np.exp(-motion.span / state.correlation_s)[:, None]
-    _colour(Q, layout, motion)
+    wander = colours.indices(layout)
+    Phi[:, wander[:, None], wander] = colours.fading(layout, motion.span)
+    Q[:, wander[:, None], wander] = colours.driving(layout, motion.span)
     u = _defect(inertial, layout, at, motion, Phi)
     found = Linear(Phi, Q, u, motion)
     _open_gaps(inertial, motion, at, found)
     return found
-
-
-def _colour(Q: Array, layout: Layout, motion: strapdown.Motion) -> None:
-    """Write what keeps the sigma of the Gauss-Markov errors where it is."""
-    for state in layout.coloured():
-        index = np.arange(layout.size)[layout.parts[state.name]]
-        lost = -np.expm1(-2.0 * motion.span / state.correlation_s)
-        Q[:, index, index] = lost[:, None] * np.broadcast_to(np.asarray(state.sigma) ** 2, (state.size,))
 
 
 def renoised(lin: Linear, inertial: Inertial, layout: Layout, at: Trajectory) -> Linear:
@@ -117,7 +109,8 @@ def renoised(lin: Linear, inertial: Inertial, layout: Layout, at: Trajectory) ->
     Q = lin.Q.copy()
     open_ = ~inertial.gap
     Q[open_, :15, :15] = _core_noise(inertial, rotation.matrix(at.q[:-1]), lin.motion)[open_]
-    _colour(Q, layout, lin.motion)
+    wander = colours.indices(layout)
+    Q[:, wander[:, None], wander] = colours.driving(layout, lin.motion.span)
     return replace(lin, Q=Q)
 
 
@@ -151,8 +144,8 @@ def _defect(inertial: Inertial, layout: Layout, at: Trajectory, motion: strapdow
     ahead = at.x[:-1].copy()
     ahead[:, 3:6] = at.v[:-1] + down * T + rotation.rotate(at.q[:-1], motion.dv)
     ahead[:, 6:9] = at.p[:-1] + at.v[:-1] * T + 0.5 * down * T**2 + rotation.rotate(at.q[:-1], motion.dp)
-    for state in layout.coloured():
-        ahead[:, layout.parts[state.name]] *= np.exp(-motion.span / state.correlation_s)[:, None]
+    wander = colours.indices(layout)
+    ahead[:, wander] = np.einsum("kij,kj->ki", Phi[:, wander[:, None], wander], at.x[:-1, wander])
     u = ahead - at.x[1:]
     turned = rotation.multiply(at.q[:-1], motion.dq)
     u[:, :3] = rotation.log_quaternion(rotation.multiply(rotation.conjugate(at.q[1:]), turned))

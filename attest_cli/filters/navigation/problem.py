@@ -17,6 +17,7 @@ from ...nodes.observations import at_stop
 from ...records import Array, Warn
 from .. import Drive
 from ..choice import LIVELY_RAD_S, liveliness
+from . import colours
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .fixes import FAST_M_S, far_off, origin_of, place_of
 from .model import Inertial, Trajectory, inertial_of
@@ -39,6 +40,7 @@ SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, cor
 STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
 LONGEST_HOLE_S = 1.0  # odometry is bridged over this
 PLACE_DRIFT, PLACE_DRIFT_S = 0.2, 60.0  # coloured error of fixes: share of their sigma, correlation time
+DRIFT_RATE, DRIFT_RATE_S = 0.01, 5.0  # and its rate, share per second: receivers smooth what they show
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
 LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
 NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
@@ -110,8 +112,12 @@ def assemble(
         ]  # fmt: skip
     aids += _seen(nodes)
     for place in places:
-        drift = PLACE_DRIFT * float(np.nanmedian(place.sigma))
-        states += [State(f"{place.role} drift", 3, drift, PLACE_DRIFT_S), State(f"{place.role} lag", 1, LAG_SIGMA_S)]
+        usual = float(np.nanmedian(place.sigma))
+        states += [
+            State(f"{place.role} drift", 3, PLACE_DRIFT * usual, PLACE_DRIFT_S),
+            State(f"{place.role} drift rate", 3, DRIFT_RATE * usual, DRIFT_RATE_S, f"{place.role} drift"),
+            State(f"{place.role} lag", 1, LAG_SIGMA_S),
+        ]
         aids.append(place)
     more, further = _streams(drive, nodes, bias, arms)
     aids, states = aids + more, states + further
@@ -341,7 +347,7 @@ def _prior(form: Layout, at: Trajectory, heading: str, place_m: float | None) ->
     """Return the first state and its covariance: heading is a datum where nothing measures it; ``place_m`` sigma of the
     place where fixes give it.
     """
-    P = np.diag(form.prior())
+    P = colours.steady(np.diag(form.prior()), form)
     R = rotation.matrix(at.q[0])
     yaw = DATUM if heading == "relative" else HEADING_SIGMA
     P[:3, :3] = (R.T * np.array([TILT_SIGMA, TILT_SIGMA, yaw]) ** 2) @ R

@@ -12,10 +12,10 @@ from ...nodes import Nodes
 from ...records import Array, FilterRun
 from ...settings import Settings
 from .. import Drive, Forward, indirect
-from . import solve
+from . import colours, solve
 from .aids import Place, Wheels
 from .fixes import epochs_of
-from .identify import identify, scaled_inertial, scaled_prior, widened
+from .identify import identify, scaled_inertial, widened
 from .model import Inertial, Trajectory
 from .problem import Problem, assemble, node_spacing
 from .states import Layout
@@ -137,9 +137,9 @@ def _with_noise(
         factors = identify(problem.layout, problem.prior[1], inertial, aids, at, free) if free else {}
         factors = widened(problem.layout, problem.prior[1], inertial, aids, at, factors)
     aids = tuple(a.scaled(factors.get(a.role, 1.0)) if isinstance(a, Place | Wheels) else a for a in problem.aids)
-    form, (start, P0) = problem.layout, problem.prior
+    form, (start, P0) = problem.layout.scaled(factors), problem.prior
     return replace(
-        problem, layout=form.scaled(factors), prior=(start, scaled_prior(P0, form, factors)),
+        problem, layout=form, prior=(start, colours.steady(P0, form)),
         inertial=_floored(inertial, problem.inertial, factors), aids=aids, at=at,
     ), factors  # fmt: skip
 

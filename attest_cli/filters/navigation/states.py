@@ -15,13 +15,14 @@ CORE = ("attitude", "velocity", "position", "gyro bias", "accelerometer bias")
 @dataclass(frozen=True, slots=True)
 class State:
     """A group of states. ``sigma`` prior (one for all, or one each); ``correlation_s``: 0 = a constant (it may walk),
-    else a Gauss-Markov error of this time whose sigma stays.
+    else a Gauss-Markov error of this time whose sigma stays. ``rate_of`` names the coloured group that it drives.
     """
 
     name: str
     size: int
     sigma: float | Array
     correlation_s: float = 0.0
+    rate_of: str = ""
 
 
 @dataclass(frozen=True, slots=True)
