@@ -93,7 +93,7 @@ def assemble(
         turn, shows = _headed(drive, nodes, q, bias, places, wheels)
         if shows:
             heading = "absolute"
-            q = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), q)
+            q = rotation.multiply(rotation.exp_quaternion(turn[:, None] * [0.0, 0.0, 1.0]), q)
         else:
             doubts.append(
                 Warn("north-not-shown", "the fixes do not show where north is: heading counts from the start")
@@ -147,15 +147,16 @@ def assemble(
 
 def _headed(
     drive: Drive, nodes: Nodes, q: Array, bias: Array, places: Sequence[Place], wheels: Wheels | None
-) -> tuple[float, bool]:
-    """Return the turn about the vertical, rad, to where the receiver went, and whether it went anywhere."""
+) -> tuple[Array, bool]:
+    """Return the turn about the vertical (n,), rad, to where the receiver went, and whether it went anywhere."""
     if not places:
         turn, sigma = heading_of_velocity(drive.log.imu, nodes.t, q, velocity_of(drive, nodes, bias, np.zeros(3)))
         return turn, sigma < NORTH_RAD
     turn, sigma = heading_offset(drive.log.imu, nodes.t, q, np.zeros(3), places[0])
     if wheels is not None:  # a slow rover shows its path, hardly its acceleration
-        by_path = heading_of_wheels(nodes.t, q, wheels, places[0])
-        turn, sigma = min((turn, sigma), by_path, key=lambda found: found[1])
+        by_path, path_sigma = heading_of_wheels(nodes.t, q, wheels, places[0])
+        if path_sigma < sigma:
+            turn, sigma = np.full(len(nodes.t), by_path), path_sigma
     if not nodes.moving.any():
         return turn, False
     level = places[0].place_n[:, :2]

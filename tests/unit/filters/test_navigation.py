@@ -134,17 +134,20 @@ def test_fixes_that_scatter_far_more_than_their_log_says_are_told(stated: float 
 
 
 @pytest.mark.parametrize("turn", [-3.0, 0.5, 2.0])
-def test_heading_is_found_from_where_the_car_went(turn: float) -> None:
+@pytest.mark.parametrize("drift", [0.0, -0.06, 0.03])
+def test_heading_is_found_from_where_the_car_went(turn: float, drift: float) -> None:
+    """Also where a bias of the gyro, rad/s, turns the attitude by more than a radian meanwhile."""
     work, _, _ = car(1, turn=turn)
     fixes = work.log.fixes["position"]
     t = work.log.imu.t[::10]
-    heading = 0.8 * np.sin(0.15 * t) + 0.02 * t
+    heading = 0.8 * np.sin(0.15 * t) + 0.02 * t - drift * t
     q = rotation.exp_quaternion(np.stack([0 * t, 0 * t, heading], axis=1))
     place = Place(
         np.zeros(len(fixes.t), dtype=np.int64), fixes.t, fixes.values, np.ones((len(fixes.t), 3)), np.zeros(3)
     )
     found, sigma = heading_offset(work.log.imu, t, q, np.zeros(3), place)
-    assert abs(np.angle(np.exp(1j * (found - turn)))) < 5.0 * sigma
+    off = np.angle(np.exp(1j * (found - turn - drift * t)))
+    assert np.abs(off).max() < (5.0 if drift == 0.0 else 8.0) * sigma
     assert sigma < 0.15
 
 
