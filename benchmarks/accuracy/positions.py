@@ -2,11 +2,12 @@
 
 KITTI (car, 1 Hz GPS), EuRoC MH_01 (drone, tracker at 20 Hz), Husky (rover, wheels and GPS at 2.5 Hz); ../shared/data.
 RMS of the horizontal error of the predictions, m, forward only and smoothed; share of withheld fixes inside the 95 %
-region of the prediction; what was learnt. Settings are the defaults. Outages begin 30, 40 and 50 s into the log and
-come again 40 s after their end, one run each, pooled: where they lie matters as much as anything. "none": no fixes at
-all, yaw and translation fitted to them afterwards.
+region of the prediction; what was learnt. Settings are the defaults. Outages begin 30, 40 and 50 s into the log, or as
+``--begin`` says, and come again 40 s after their end, one run each, pooled: where they lie matters as much as anything.
+"none": no fixes at all, yaw and translation fitted to them afterwards.
 
-Run: PYTHONPATH=. python benchmarks/accuracy/positions.py [--only KITTI] [--cases half,10,30] [--picture FILE.png]
+Run: PYTHONPATH=. python benchmarks/accuracy/positions.py [--only KITTI] [--cases half,10,30] [--begin 10,20,30,40,50]
+    [--picture FILE.png]
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ def picture(path: Path) -> None:
     drawn(path, panels, "time, s", "Positions predicted where the fixes were hidden")
 
 
-def line(drive: Drive, name: str, role: str, what: str) -> str:
+def line(drive: Drive, name: str, role: str, what: str, begin_s: tuple[float, ...]) -> str:
     """Return a line of the table."""
     start, fixes = time.process_time(), drive.log.fixes[role]
     if what == "none":
@@ -196,7 +197,7 @@ def line(drive: Drive, name: str, role: str, what: str) -> str:
         text = f"{name:<18}{what:>9}{len(fixes.t):>7}{'':>9}{rms:>9.3f}{'':>8}  path of {length:.0f} m, {learnt(done)}"
     else:
         parts = []
-        for begin in BEGIN_S if what != "half" else BEGIN_S[:1]:
+        for begin in begin_s if what != "half" else begin_s[:1]:
             done, found = hiding(drive, role, what, begin)
             parts.append(found)
         forward, smoothed, n2 = (
@@ -214,6 +215,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=LOGS)
     parser.add_argument("--cases", default="half,10,30,none")
+    parser.add_argument(
+        "--begin", default=",".join(f"{s:g}" for s in BEGIN_S), help="s, of the first outage; one run each"
+    )
     parser.add_argument("--picture", type=Path, help="draw instead")
     wanted = parser.parse_args()
     if not DATA.is_dir():
@@ -228,7 +232,7 @@ def main() -> None:
             drive = drive_of(load(settings), settings)
             for what in wanted.cases.split(","):
                 if what != "none" or "odometry" in drive.log.fixes:
-                    print(line(drive, name, role, what), flush=True)
+                    print(line(drive, name, role, what, tuple(map(float, wanted.begin.split(",")))), flush=True)
 
 
 if __name__ == "__main__":
