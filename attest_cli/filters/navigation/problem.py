@@ -41,6 +41,7 @@ STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, 
 LONGEST_HOLE_S = 1.0  # odometry is bridged over this
 PLACE_DRIFT, PLACE_DRIFT_S = 0.2, 60.0  # coloured error of fixes: share of their sigma, correlation time
 DRIFT_RATE, DRIFT_RATE_S = 0.01, 5.0  # and its rate, share per second: receivers smooth what they show
+STATED_RATE = 0.1  # of that, to begin with, where their sigma is stated: it holds most of their error
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
 LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
 NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
@@ -113,9 +114,11 @@ def assemble(
     aids += _seen(nodes)
     for place in places:
         usual = float(np.nanmedian(place.sigma))
+        stated = "sigma_m" in getattr(drive.settings, place.role).model_fields_set
+        rate = DRIFT_RATE * usual * (STATED_RATE if stated else 1.0)
         states += [
             State(f"{place.role} drift", 3, PLACE_DRIFT * usual, PLACE_DRIFT_S),
-            State(f"{place.role} drift rate", 3, DRIFT_RATE * usual, DRIFT_RATE_S, f"{place.role} drift"),
+            State(f"{place.role} drift rate", 3, rate, DRIFT_RATE_S, f"{place.role} drift"),
             State(f"{place.role} lag", 1, LAG_SIGMA_S),
         ]
         aids.append(place)
