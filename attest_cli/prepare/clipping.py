@@ -15,6 +15,10 @@ LEVEL = 0.75  # of those edges: how far all of its samples may lie apart
 LEAST_RUN, LONE_RUN = 3, 5  # samples of a plateau; of one that stands alone in its log
 LONGEST_S = 3.0  # what stays longer is a sensor that is stuck
 GYRO_FLOOR, ACCEL_FLOOR = 1.7, 15.0  # rad/s, m/s^2: below the range of any common sensor (100 deg/s, 1.5 g)
+PILED, TINY, PILE, BELOW = 1e-3, 1e-12, 3.0, 3.0  # of the level; rounding; times as many as in so many sigma below
+TIGHT, LEAST_PILE, TURNS = 0.1, 10, 0.1  # of the noise; samples; share of the steps that turn back, if there is noise
+NORMAL = 0.6745 * 6.0**0.5  # median of second differences of white noise of one
+BRIDGED_S = 1.0  # what happened in a longer run is not to be told from its sides
 ANCHORS, MOST = 3, 2.5  # samples on either side that the spline passes; of the level, how far it may reach
 APART = 3.0  # periods: nothing is drawn across a hole
 SHARE = 0.5  # of what a spline adds to the level: its error, all run long
@@ -41,7 +45,7 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
     A plateau is a run of at least three samples within 2 % of the log's largest value whose edges are ten times
     steeper than the median step on it (or one count): a smooth peak of the same height has edges 2 to 3 times
     steeper. Two plateaus, or one of five samples, tell a range; below ``floor`` there is none. Once it is known,
-    every sample that reaches the lowest plateau counts.
+    every sample that reaches the lowest plateau counts. Where many samples are ``piled`` up, no floor is asked for.
 
     Parameters
     ----------
@@ -52,9 +56,13 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
     found = []
     for axis, sign in ((axis, sign) for axis in range(values.shape[1]) for sign in (1.0, -1.0)):
         level = float(max(values[:, axis].max(initial=0.0) if sign > 0.0 else -values[:, axis].min(initial=0.0), 0.0))
+        y = sign * values[:, axis]
+        at_end = piled(y)
+        if at_end.any():
+            found.append(Clipped(axis, sign * level, at_end))
+            continue
         if level < floor:
             continue
-        y = sign * values[:, axis]
         seen = np.unique(y[y > 0.5 * level])
         counts = np.diff(seen)
         count = float(np.min(counts[counts > 1e-6 * level], initial=level))
@@ -65,6 +73,37 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
             least = min(float(y[a:b].min()) for a, b in flat)
             found.append(Clipped(axis, sign * level, y >= least))
     return found
+
+
+def piled(y: Array) -> Bools:
+    """Tell the rows (n,) of one axis that stand at the upper end of its range, where that is often so, in any unit.
+
+    The noise ends there: within a tenth of it there are two runs of five samples, and three times as many samples as in
+    the three sigma below. A rate that is held has its noise, and a log without noise tells nothing.
+    """
+    none = np.zeros(len(y), dtype=np.bool_)
+    level = float(y.max(initial=0.0))
+    near = y >= (1.0 - PILED) * level
+    if level <= 0.0 or not LEAST_PILE <= np.count_nonzero(near) < len(y) - LEAST_PILE:
+        return none
+    step = np.diff(y)
+    free = ~(near[2:] | near[1:-1] | near[:-2])
+    if not free.any() or np.mean(step[1:][free] * step[:-1][free] < 0.0) < TURNS:
+        return none
+    noise = float(np.median(np.abs(np.diff(step)[free]))) / NORMAL
+    counts = np.diff(np.unique(y[y > 0.5 * level]))
+    count = float(np.min(counts[counts > 1e-6 * level], initial=level))
+    middle = float(np.median(y[near]))
+    rows = y >= min(2.0 * middle - level, (1.0 - TINY) * level)
+    below = np.count_nonzero(y >= middle - BELOW * max(noise, count)) - np.count_nonzero(rows)
+    long = sum(b - a >= LONE_RUN for a, b in _runs(rows))
+    quiet = level - middle < TIGHT * noise
+    return rows if quiet and long > 1 and np.count_nonzero(rows) > PILE * below else none
+
+
+def bridgeable(t: Array, ends: list[Clipped]) -> bool:
+    """Tell whether all clipped runs are so short that what happened there is to be told from their sides."""
+    return all(t[b - 1] - t[a] <= BRIDGED_S for end in ends for a, b in end.runs)
 
 
 def repaired(t: Array, values: Array, ends: list[Clipped], bounds: tuple[float, float]) -> tuple[Array, Array]:
@@ -86,7 +125,7 @@ def repaired(t: Array, values: Array, ends: list[Clipped], bounds: tuple[float, 
             place, span = int(np.searchsorted(free, a)), (b - a) * period
             anchors = free[max(place - ANCHORS, 0) : place + ANCHORS]
             added = (MOST - 1.0) * level
-            if _close(t, anchors, a, b, period):
+            if t[b - 1] - t[a] <= BRIDGED_S and _close(t, anchors, a, b, period):
                 drawn = CubicSpline(t[anchors], y[anchors])(t[a:b])
                 drawn = np.clip(drawn, y[a:b], MOST * level)
                 out[a:b, end.axis] = np.sign(end.level) * drawn
@@ -95,14 +134,17 @@ def repaired(t: Array, values: Array, ends: list[Clipped], bounds: tuple[float, 
     return out, np.where(density > 0.0, np.clip(density, *bounds), 0.0)
 
 
-def told(name: str, sensor: str, ends: list[Clipped], unit: str) -> Warn:
+def told(name: str, t: Array, sensor: str, ends: list[Clipped], unit: str) -> Warn:
     """Say which axes are clipped at which level, how often, and what was done."""
     parts = [f"{'xyz'[e.axis]} at {e.level:.4g} {unit} ({np.count_nonzero(e.rows)} samples)" for e in ends]
-    if sensor == "gyro":
+    fatal = sensor == "gyro" and not bridgeable(t, ends)
+    if fatal:
+        hint = f"for over {BRIDGED_S:g} s at a time: how far it turned is not known; take a wider range of the sensor"
+    elif sensor == "gyro":
         hint = "a spline stands in for these samples, with a larger sigma; a wider range of the sensor would not clip"
     else:
         hint = "these samples count less; a wider range of the sensor, or softer mounts, would not clip"
-    return Warn(f"{sensor}-clipped", f"{name}: {sensor} clipped: {', '.join(parts)}", hint)
+    return Warn(f"{sensor}-clipped", f"{name}: {sensor} clipped: {', '.join(parts)}", hint, fatal=fatal)
 
 
 def _plateau(y: Array, a: int, b: int, count: float) -> tuple[int, int] | None:

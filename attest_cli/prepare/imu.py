@@ -148,11 +148,16 @@ def _within(values: Array, limit: float) -> bool:
 
 def _held(name: str, t: Array, table: Array, warnings: list[Warn]) -> Bools:
     """Tell rows (n,) in which an axis of the raw ``table`` (n, 6) is stuck; say so, and of axes that are dead."""
-    found = stuck.stuck(t, table)
+    found = [_but_clipped(x, rows) for x, rows in zip(table.T, stuck.stuck(t, table), strict=True)]
     warnings += stuck.told(name, COLUMNS["imu"], found, t)
     warnings += stuck.told_dead(name, COLUMNS["imu"], stuck.dead(table))
     rows: Bools = np.logical_or.reduce(found)
     return rows
+
+
+def _but_clipped(x: Array, rows: Bools) -> Bools:
+    """Return the stuck rows (n,) of a column, but for those at an end of its range: it was clipped there."""
+    return rows & ~clipping.piled(x) & ~clipping.piled(-x) if rows.any() else rows
 
 
 def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> Imu:
@@ -161,7 +166,7 @@ def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> I
     """
     found = clipping.clipped(imu.t, imu.gyro_b, clipping.GYRO_FLOOR)
     if found:
-        warnings.append(clipping.told(name, "gyro", found, "rad/s"))
+        warnings.append(clipping.told(name, imu.t, "gyro", found, "rad/s"))
         gyro, density = clipping.repaired(imu.t, imu.gyro_b, found, clipping.GYRO_DENSITY)
         imu = replace(imu, gyro_b=gyro, gyro_clipped=density)
     for added in (lost.bridged(imu.t, imu.gyro_b, longest_s), jittered(imu.t, imu.gyro_b)):
@@ -169,7 +174,7 @@ def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> I
             imu = replace(imu, gyro_clipped=added if imu.gyro_clipped is None else np.hypot(added, imu.gyro_clipped))
     found = clipping.clipped(imu.t, imu.accel_b, clipping.ACCEL_FLOOR)
     if found:
-        warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
+        warnings.append(clipping.told(name, imu.t, "accelerometer", found, "m/s^2"))
         _, density = clipping.repaired(imu.t, imu.accel_b, found, clipping.ACCEL_DENSITY)
         imu = replace(imu, accel_clipped=density)
     return imu

@@ -203,3 +203,53 @@ def test_a_real_clipped_gyro_is_told(name: str, axis: str) -> None:
         pytest.skip(f"{path.name} is not there")
     _, log = read([path], Settings())
     assert [axis in w.message for w in log.warnings if w.code == "gyro-clipped"] == [True]
+
+
+def turning(seed: int = 3, minutes: float = 1.5) -> tuple[Array, Array]:
+    """Return t and the noisy rate of a vehicle that stands and turns, slowly, in turn."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 60.0 * minutes, 1.0 / RATE_HZ)
+    moving = np.sin(2 * np.pi * t / 30.0) > -0.3
+    rate = np.where(moving, 1.0, 0.0)[:, None] * 0.4 * np.sin(2 * np.pi * t[:, None] * np.array([0.3, 0.23, 0.11]))
+    return t, rate + rng.normal(0.0, 1e-3, rate.shape)
+
+
+@pytest.mark.parametrize("unit", [1.0, 57.3, 1e4])
+@pytest.mark.parametrize("level", [0.05, 0.1, 0.25])
+def test_what_is_clipped_for_much_of_the_log_is_found_in_any_unit_and_below_a_floor(level: float, unit: float) -> None:
+    t, rate = turning()
+    ends = clipping.clipped(t, unit * np.clip(rate, -level, level), np.inf)
+    assert [(e.axis, round(e.level / unit, 9)) for e in ends] == [(k, s * level) for k in range(3) for s in (1, -1)]
+    assert all(np.array_equal(e.rows, np.sign(e.level) * rate[:, e.axis] >= level) for e in ends)
+    noisy = np.clip(rate, -level, level) + np.random.default_rng(4).normal(0.0, 2e-6, rate.shape)
+    ends = clipping.clipped(t, unit * noisy, np.inf)
+    assert [e.axis for e in ends] == [0, 0, 1, 1, 2, 2]
+    assert all(np.mean(e.rows == (np.sign(e.level) * rate[:, e.axis] >= level)) > 0.995 for e in ends)
+    assert not clipping.clipped(t, rate, np.inf)
+
+
+@pytest.mark.parametrize("count", [1e-4, 5e-4, 2e-3, 2e-2])
+def test_a_rate_that_is_held_is_not_clipped_however_coarse(count: float) -> None:
+    t, _ = turning()
+    steps = np.repeat(np.array([0.0, 0.5, 0.0, -0.5, 0.5, 0.2]), len(t) // 6)
+    for sigma in (0.0, 1e-4, 1e-3):
+        held = steps[: len(t), None] + np.random.default_rng(2).normal(0.0, sigma, (len(steps), 3))
+        assert not clipping.clipped(t[: len(held)], np.rint(held / count) * count, np.inf)
+
+
+@pytest.mark.parametrize(("level", "fatal"), [(0.1, True), (0.395, False)])
+def test_long_clipping_is_no_gap_and_fails_where_nothing_tells_how_far_it_turned(level: float, fatal: bool) -> None:
+    t, rate = turning()
+    force = np.broadcast_to([0.0, 0.0, 9.81], rate.shape)
+    log = prepare([recorded(t, np.clip(rate, -level, level), force)], Settings())
+    (told,) = [w for w in log.warnings if w.code != "imu-axes-doubtful"]
+    assert (told.code, told.fatal) == ("gyro-clipped", fatal)
+    assert not len(log.gaps)
+
+
+def test_one_long_run_at_the_highest_value_is_stuck() -> None:
+    t, rate = turning()
+    rate[4000:4500, 1] = 0.6
+    log = prepare([recorded(t, rate, np.broadcast_to([0.0, 0.0, 9.81], rate.shape))], Settings())
+    assert "imu-stuck" in {w.code for w in log.warnings}
+    assert "gyro-clipped" not in {w.code for w in log.warnings}
