@@ -42,7 +42,7 @@ PLACES = (
     ("imu-gap", "stamps", "gaps"),
     ("clock-* no-overlap outside-imu-span", "stamps", "clocks"),
     ("imu-not-finite", "values", "finite"),
-    ("stale-repeats *stuck* *frozen*", "values", "repeats"),
+    ("stale-repeats imu-held *stuck* *frozen*", "values", "repeats"),
     ("*-clipped", "values", "range"),
     ("gyro-coarse", "values", "resolution"),
     ("*spikes", "values", "spikes"),

@@ -12,7 +12,7 @@ from ..errors import AttestError
 from ..maths import rotation
 from ..records import COLUMNS, Array, Bools, Channel, Imu, Ints, Warn
 from ..settings import Settings
-from . import axes, clipping, lost, stuck, units
+from . import axes, clipping, held, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .epochs import HOUR_S, SET_NS, whole_hours
 from .jitter import jittered
@@ -79,9 +79,13 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
-    held = _held(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
-    if held.any():
-        stamps_ns, table = stamps_ns[~held], table[~held]
+    new, table = held.released(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
+    if not new.all():
+        stamps_ns, table = stamps_ns[new], table[new]
+        _enough(files, stamps_ns)
+    frozen = _frozen(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
+    if frozen.any():
+        stamps_ns, table = stamps_ns[~frozen], table[~frozen]
         _enough(files, stamps_ns)
     gyro, accel = _in_si(parts, stamps_ns, t0_ns, table, settings, warnings)
     warnings += stuck.told_coarse(f"{files}: {parts[0].name}", gyro)
@@ -146,7 +150,7 @@ def _within(values: Array, limit: float) -> bool:
     return bool(-limit < values.min() and values.max() < limit)
 
 
-def _held(name: str, t: Array, table: Array, warnings: list[Warn]) -> Bools:
+def _frozen(name: str, t: Array, table: Array, warnings: list[Warn]) -> Bools:
     """Tell rows (n,) in which an axis of the raw ``table`` (n, 6) is stuck; say so, and of axes that are dead."""
     found = [_but_clipped(x, rows) for x, rows in zip(table.T, stuck.stuck(t, table), strict=True)]
     warnings += stuck.told(name, COLUMNS["imu"], found, t)

@@ -1,0 +1,77 @@
+"""Samples that are held: a sensor slower than its log, whose last value is repeated until there is a new one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..records import Array, Bools, Ints, Warn
+
+LONGEST_S = 0.4  # what stays longer is stuck
+MOSTLY, SELDOM = 0.5, 0.1  # share of the runs that are of the usual length; of those that are shorter
+ALIKE = 0.9  # of the new values come in rows in which the other sensor has one, too
+
+
+def fresh(t: Array, values: Array) -> Bools | None:
+    """Tell the rows (n,) of a sensor (n, 3) in which its values are new; None where it does not hold them.
+
+    A sensor that holds does so alike at rest and in motion: runs of equal rows are of one length, two at least, or
+    longer where two values in a row happen to be equal, hardly ever shorter. Those of a coarse sensor are of any.
+    """
+    new = np.ones(len(values), dtype=np.bool_)
+    if len(values) < 3:
+        return None
+    new[1:] = values[1:, 0] != values[:-1, 0]
+    if np.mean(new) > 1.0 - MOSTLY / 2.0:
+        return None  # of nearly every log, at little cost
+    for column in values.T[1:]:
+        new[1:] |= column[1:] != column[:-1]
+    rows = np.flatnonzero(new)
+    length = np.diff(rows)[np.diff(t[rows]) < LONGEST_S]
+    if length.size < len(values) * np.median(np.diff(t)) or not length.size:
+        return None  # less than one new value a second
+    usual = float(np.median(length))
+    near = np.abs(length - usual) <= (1.0 if usual > 2.0 else 0.0)
+    more = length == usual + 1.0  # 40 Hz in 100
+    shorter = (length < usual - 1.0) | (length == 1)
+    held = usual >= 2.0 and np.mean(near | more) > MOSTLY and np.mean(shorter) < SELDOM
+    return new if held else None
+
+
+def released(name: str, t: Array, table: Array, warnings: list[Warn]) -> tuple[Bools, Array]:
+    """Return which rows (n,) of gyro and accelerometer (n, 6) to keep, and the table with a line in place of what is
+    held; say so.
+
+    A held value is that of the first row of its run. Where both sensors have their new values in the same rows, only
+    those are kept; else all are.
+    """
+    found = {what: fresh(t, table[:, k]) for what, k in (("gyro", np.s_[:3]), ("accelerometer", np.s_[3:]))}
+    held = {what: rows for what, rows in found.items() if rows is not None}
+    keep: Bools = np.ones(len(t), dtype=np.bool_)
+    if not held:
+        return keep, table
+    both = np.logical_and.reduce(list(held.values()))
+    together = len(held) > 1 and all(np.count_nonzero(both) > ALIKE * np.count_nonzero(r) for r in held.values())
+    if together:
+        keep = np.logical_or.reduce(list(held.values()))
+    else:
+        table = table.copy()
+        for what, rows in held.items():
+            _drawn(t, table[:, :3] if what == "gyro" else table[:, 3:], np.flatnonzero(rows))
+    warnings.append(_told(name, t, held, together=together))
+    return keep, table
+
+
+def _drawn(t: Array, values: Array, rows: Ints) -> None:
+    """Draw lines, in place, between new values that come soon after each other: a stuck sensor stays stuck."""
+    soon = np.diff(t[rows], append=np.inf)[np.searchsorted(rows, np.arange(len(t)), side="right") - 1] < LONGEST_S
+    for column in values.T:
+        column[soon] = np.interp(t[soon], t[rows], column[rows])
+
+
+def _told(name: str, t: Array, held: dict[str, Bools], *, together: bool) -> Warn:
+    step = float(np.median(np.diff(t)))
+    rates = {what: 1.0 / float(np.median(np.diff(t[rows]))) for what, rows in held.items()}
+    each = " and ".join(f"{what} ({rate:.3g} Hz)" for what, rate in rates.items())
+    used = "rows of new values are used" if together else "a line between new values is used"
+    message = f"{name}: {each} slower than the log ({1.0 / step:.3g} Hz), which repeats old values: {used}"
+    return Warn("imu-held", message, "log the sensor's own rate, with its own stamps")
