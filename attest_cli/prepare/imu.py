@@ -12,7 +12,7 @@ from ..errors import AttestError
 from ..maths import rotation
 from ..records import COLUMNS, Array, Bools, Channel, Imu, Ints, Warn
 from ..settings import Settings
-from . import axes, clipping, held, lost, stuck, units
+from . import axes, clipping, held, interleaved, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .epochs import HOUR_S, SET_NS, whole_hours
 from .jitter import jittered
@@ -79,6 +79,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
+    interleaved.refuse(f"{files}: {parts[0].name}", table)
     new, table = held.released(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
     if not new.all():
         stamps_ns, table = stamps_ns[new], table[new]

@@ -1,0 +1,69 @@
+"""Two IMUs in one channel: rows that alternate by what the IMU does are of two devices with axes of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import AttestError
+from ..records import Array
+
+BLOCK, LEAST_BLOCKS = 10, 40  # rows; blocks that tell
+WINDOW = 20  # blocks in which no row is lost, that would change the order
+EXPLAINED, EXPLAINED_EACH = 0.5, 0.6  # share of the alternation; of that within windows
+TURNED = 0.02  # as much of the signal alternates: axes turned by 2 deg
+OPPOSITE, ALWAYS = 0.25, 0.95  # of gravity; share of the blocks
+
+
+def refuse(name: str, table: Array) -> None:
+    r"""Refuse raw gyro and accelerometer (n, 6) of two IMUs in turn.
+
+    In each block of rows, :math:`A=\tfrac12\,\mathrm{med}\,(-1)^i(x_i-\tfrac12(x_{i-1}+x_{i+1}))` is half of what every
+    second row is apart, and :math:`m` the median of the block. Two devices turned by :math:`R` against each other give
+    :math:`A=(I-R)(I+R)^{-1}m+c`, in both sensors; upside down to each other, a force that alternates by a share of
+    gravity all along. Vibration near half the sampling rate alternates too, but not in proportion. Devices that differ
+    in their biases only are not told apart: their mean is right.
+
+    Raises
+    ------
+    AttestError
+        If the alternation is that of two devices.
+    """
+    blocks = (len(table) - 2) // BLOCK
+    if blocks < LEAST_BLOCKS:
+        return
+    rows = slice(1, blocks * BLOCK + 1)
+    sign = np.where(np.arange(blocks * BLOCK) % 2 == 0, 0.5, -0.5)[:, None]
+    apart, middle = np.empty((2, blocks, 6))
+    for k, x in enumerate(table.T):  # all at once would be several copies of a long log
+        beside = 0.5 * (x[:-2] + x[2:])[: blocks * BLOCK]
+        apart[:, k] = np.median((sign[:, 0] * (x[rows] - beside)).reshape(blocks, BLOCK), axis=1)
+        middle[:, k] = np.median(x[rows].reshape(blocks, BLOCK), axis=1)
+    force = np.linalg.norm(apart[:, 3:], axis=1)
+    gravity = float(np.median(np.hypot(force, np.linalg.norm(middle[:, 3:], axis=1))))
+    if _in_proportion(middle, apart) or (gravity > 0.0 and np.mean(force > OPPOSITE * gravity) > ALWAYS):
+        size = 2.0 * np.median(np.abs(apart), axis=0)
+        each = f"by {np.max(size[:3]):.2g} (gyro) and {np.max(size[3:]):.2g} (accelerometer)"
+        message = f"{name}: rows of two IMUs in turn: every second row is apart {each}, as turned axes are"
+        raise AttestError(message, "record each device under a name of its own")
+
+
+def _in_proportion(middle: Array, apart: Array) -> bool:
+    """Tell whether the alternation (b, 6) of both sensors is a map of their signal, all along or in each window."""
+    for window, least in ((len(middle), EXPLAINED), (WINDOW, EXPLAINED_EACH)):
+        fits = [_fitted(middle[:, k], apart[:, k], window) for k in (np.s_[:3], np.s_[3:])]
+        if min(share for share, _ in fits) > least and min(size for _, size in fits) > TURNED:
+            return True
+    return False
+
+
+def _fitted(middle: Array, apart: Array, window: int) -> tuple[float, float]:
+    """Return which share of the alternation (b, 3) a map of the signal explains, and its mean size."""
+    used = len(middle) // window * window
+    x, y = (z[:used].reshape(-1, window, 3) for z in (middle, apart))
+    x, y = x - np.median(x, axis=1, keepdims=True), y - np.median(y, axis=1, keepdims=True)
+    slope = np.linalg.pinv(x, rcond=1e-6) @ y
+    total, drawn = float(np.sum(y**2)), np.sum((x @ slope) ** 2, axis=(1, 2))
+    if not total > 0.0 or not drawn.any():
+        return 0.0, 0.0
+    size = 2.0 * float(np.average(np.linalg.norm(slope, 2, axis=(1, 2)), weights=drawn))
+    return 1.0 - float(np.sum((y - x @ slope) ** 2)) / total, size

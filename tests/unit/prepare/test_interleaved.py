@@ -1,0 +1,68 @@
+"""Two IMUs in one channel are refused, turned by however much; vibration, spikes and hum of one IMU are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from attest_cli.errors import AttestError
+from attest_cli.maths import rotation
+from attest_cli.prepare import interleaved
+
+Array = NDArray[np.float64]
+T = np.arange(8000) * 0.01
+
+
+def driven(seed: int = 1, noise: float = 0.003) -> Array:
+    """Return gyro and accelerometer (n, 6) of a vehicle that rests, and turns mostly about z."""
+    moving = np.clip(3.0 * np.sin(2 * np.pi * T / 40.0), 0.0, 1.0)[:, None]
+    rate = moving * np.array([0.03, 0.05, 0.3]) * np.sin(2 * np.pi * T[:, None] * np.array([0.31, 0.23, 0.1]))
+    force = moving * np.array([0.5, 0.6, 0.3]) * np.sin(2 * np.pi * T[:, None] * np.array([0.2, 0.15, 3.1]))
+    force += [0.1, -0.2, 9.8]
+    return np.hstack([rate, force]) + np.random.default_rng(seed).normal(0.0, noise, (len(T), 6))
+
+
+def turned(table: Array, axis: int, degrees: float) -> Array:
+    R = rotation.matrix(rotation.exp_quaternion(np.radians(degrees) * np.eye(3)[axis]))
+    return np.hstack([table[:, :3] @ R.T, table[:, 3:] @ R.T])
+
+
+def in_turn(one: Array, other: Array, second: NDArray[np.bool_]) -> Array:
+    return np.where(second[:, None], other, one)
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 90.0), (2, 90.0), (1, 180.0), (0, 120.0), (2, 30.0)])
+def test_rows_of_two_imus_in_turn_are_refused(axis: int, degrees: float) -> None:
+    second = np.arange(len(T)) % 2 == 1
+    other = turned(driven(2), axis, degrees) + 0.01
+    with pytest.raises(AttestError, match="two IMUs"):
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, second))
+    keep = np.random.default_rng(3).random(len(T)) > 0.001  # rows are lost: the order changes
+    with pytest.raises(AttestError, match="two IMUs"):
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, second)[keep])
+
+
+@pytest.mark.parametrize("hz", [49.9, 49.3, 47.0, 25.0, 33.3])
+@pytest.mark.parametrize("where", ["always", "in motion"])
+def test_vibration_near_half_the_rate_is_of_one_imu(hz: float, where: str) -> None:
+    table = driven()
+    moving = np.ones(len(T)) if where == "always" else np.clip(3.0 * np.sin(2 * np.pi * T / 40.0), 0.0, 1.0)
+    hum = moving * np.cos(2 * np.pi * hz * T + 0.3)
+    interleaved.refuse("log.csv: imu", table + hum[:, None] * np.array([0.05, 0.02, 0.1, 0.3, 0.5, 1.0]))
+
+
+@pytest.mark.parametrize("size", [5.0, 1e3, 1e11])
+def test_spikes_lone_or_many_and_coarse_values_are_of_one_imu(size: float) -> None:
+    for share in (1, 40, 400):
+        table = driven()
+        table[np.random.default_rng(share).choice(len(T), share, replace=False), 2] = size
+        interleaved.refuse("log.csv: imu", table)
+    interleaved.refuse("log.csv: imu", np.rint(driven() / 0.05) * 0.05)
+    interleaved.refuse("log.csv: imu", np.zeros((len(T), 6)))
+    interleaved.refuse("log.csv: imu", driven()[:100])
+
+
+def test_other_biases_alone_are_not_refused() -> None:
+    second = np.arange(len(T)) % 2 == 1
+    interleaved.refuse("log.csv: imu", in_turn(driven(), driven(2) + 0.02, second))
