@@ -9,7 +9,7 @@ from ..records import Array
 
 BLOCK, LEAST_BLOCKS = 10, 40  # rows; blocks that tell
 WINDOW = 20  # blocks in which no row is lost, that would change the order
-EXPLAINED, EXPLAINED_EACH = 0.5, 0.6  # share of the alternation; of that within windows
+EXPLAINED, PASSES = 0.5, 4  # share of the alternation; of its sign in windows
 TURNED = 0.02  # as much of the signal alternates: axes turned by 2 deg
 OPPOSITE, ALWAYS = 0.25, 0.95  # of gravity; share of the blocks
 
@@ -48,22 +48,27 @@ def refuse(name: str, table: Array) -> None:
 
 
 def _in_proportion(middle: Array, apart: Array) -> bool:
-    """Tell whether the alternation (b, 6) of both sensors is a map of their signal, all along or in each window."""
-    for window, least in ((len(middle), EXPLAINED), (WINDOW, EXPLAINED_EACH)):
+    """Tell whether the alternation (b, 6) of both sensors is a map of their signal, all along or in windows."""
+    for window in (len(middle), WINDOW):
         fits = [_fitted(middle[:, k], apart[:, k], window) for k in (np.s_[:3], np.s_[3:])]
-        if min(share for share, _ in fits) > least and min(size for _, size in fits) > TURNED:
+        if min(share for share, _ in fits) > EXPLAINED and min(size for _, size in fits) > TURNED:
             return True
     return False
 
 
 def _fitted(middle: Array, apart: Array, window: int) -> tuple[float, float]:
-    """Return which share of the alternation (b, 3) a map of the signal explains, and its mean size."""
+    """Return which share of the alternation (b, 3) one map of the signal explains, but for its sign in each window, and
+    its size.
+    """
     used = len(middle) // window * window
     x, y = (z[:used].reshape(-1, window, 3) for z in (middle, apart))
     x, y = x - np.median(x, axis=1, keepdims=True), y - np.median(y, axis=1, keepdims=True)
-    slope = np.linalg.pinv(x, rcond=1e-6) @ y
-    total, drawn = float(np.sum(y**2)), np.sum((x @ slope) ** 2, axis=(1, 2))
-    if not total > 0.0 or not drawn.any():
+    sign, total = np.ones((len(x), 1, 1)), float(np.sum(y**2))
+    most = int(np.argmax(np.sum(y**2, axis=(1, 2))))
+    slope = np.linalg.pinv(x[most], rcond=1e-6) @ y[most]
+    for _ in range(PASSES):
+        sign = np.where(np.sum(x @ slope * y, axis=(1, 2), keepdims=True) < 0.0, -1.0, 1.0)
+        slope = np.linalg.lstsq(x.reshape(-1, 3), (sign * y).reshape(-1, 3), rcond=1e-6)[0]
+    if not total > 0.0:
         return 0.0, 0.0
-    size = 2.0 * float(np.average(np.linalg.norm(slope, 2, axis=(1, 2)), weights=drawn))
-    return 1.0 - float(np.sum((y - x @ slope) ** 2)) / total, size
+    return 1.0 - float(np.sum((sign * y - x @ slope) ** 2)) / total, 2.0 * float(np.linalg.norm(slope, 2))
