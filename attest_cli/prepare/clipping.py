@@ -27,11 +27,12 @@ GYRO_DENSITY, ACCEL_DENSITY = (0.1, 0.3), (0.3, 30.0)  # rad/s/sqrt(Hz), m/s^2/s
 
 @dataclass(frozen=True, slots=True)
 class Clipped:
-    """Rows (n,) of one axis that stand at an end of its range, ``level`` in its unit, signed."""
+    """Rows (n,) of one axis that stand at an end of its range, ``level`` in its unit, signed; the longest run of it."""
 
     axis: int
     level: float
     rows: Bools
+    longest_s: float
 
     @property
     def runs(self) -> list[tuple[int, int]]:
@@ -59,7 +60,7 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
         y = sign * values[:, axis]
         at_end = piled(y)
         if at_end.any():
-            found.append(Clipped(axis, sign * level, at_end))
+            found.append(_clipped(t, axis, sign * level, at_end))
             continue
         if level < floor:
             continue
@@ -71,7 +72,7 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
         flat = [(a, b) for a, b in flat if t[b - 1] - t[a] < LONGEST_S]
         if len(flat) > 1 or any(b - a >= LONE_RUN for a, b in flat):
             least = min(float(y[a:b].min()) for a, b in flat)
-            found.append(Clipped(axis, sign * level, y >= least))
+            found.append(_clipped(t, axis, sign * level, y >= least))
     return found
 
 
@@ -99,11 +100,6 @@ def piled(y: Array) -> Bools:
     long = sum(b - a >= LONE_RUN for a, b in _runs(rows))
     quiet = level - middle < TIGHT * noise
     return rows if quiet and long > 1 and np.count_nonzero(rows) > PILE * below else none
-
-
-def bridgeable(t: Array, ends: list[Clipped]) -> bool:
-    """Tell whether all clipped runs are so short that what happened there is to be told from their sides."""
-    return all(t[b - 1] - t[a] <= BRIDGED_S for end in ends for a, b in end.runs)
 
 
 def repaired(t: Array, values: Array, ends: list[Clipped], bounds: tuple[float, float]) -> tuple[Array, Array]:
@@ -134,10 +130,10 @@ def repaired(t: Array, values: Array, ends: list[Clipped], bounds: tuple[float, 
     return out, np.where(density > 0.0, np.clip(density, *bounds), 0.0)
 
 
-def told(name: str, t: Array, sensor: str, ends: list[Clipped], unit: str) -> Warn:
+def told(name: str, sensor: str, ends: list[Clipped], unit: str) -> Warn:
     """Say which axes are clipped at which level, how often, and what was done."""
     parts = [f"{'xyz'[e.axis]} at {e.level:.4g} {unit} ({np.count_nonzero(e.rows)} samples)" for e in ends]
-    fatal = sensor == "gyro" and not bridgeable(t, ends)
+    fatal = sensor == "gyro" and any(e.longest_s > BRIDGED_S for e in ends)
     if fatal:
         hint = f"for over {BRIDGED_S:g} s at a time: how far it turned is not known; take a wider range of the sensor"
     elif sensor == "gyro":
@@ -145,6 +141,10 @@ def told(name: str, t: Array, sensor: str, ends: list[Clipped], unit: str) -> Wa
     else:
         hint = "these samples count less; a wider range of the sensor, or softer mounts, would not clip"
     return Warn(f"{sensor}-clipped", f"{name}: {sensor} clipped: {', '.join(parts)}", hint, fatal=fatal)
+
+
+def _clipped(t: Array, axis: int, level: float, rows: Bools) -> Clipped:
+    return Clipped(axis, level, rows, max(float(t[b - 1] - t[a]) for a, b in _runs(rows)))
 
 
 def _plateau(y: Array, a: int, b: int, count: float) -> tuple[int, int] | None:

@@ -171,7 +171,7 @@ def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> I
     """
     found = clipping.clipped(imu.t, imu.gyro_b, clipping.GYRO_FLOOR)
     if found:
-        warnings.append(clipping.told(name, imu.t, "gyro", found, "rad/s"))
+        warnings.append(clipping.told(name, "gyro", found, "rad/s"))
         gyro, density = clipping.repaired(imu.t, imu.gyro_b, found, clipping.GYRO_DENSITY)
         imu = replace(imu, gyro_b=gyro, gyro_clipped=density)
     for added in (lost.bridged(imu.t, imu.gyro_b, longest_s), jittered(imu.t, imu.gyro_b)):
@@ -179,7 +179,7 @@ def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> I
             imu = replace(imu, gyro_clipped=added if imu.gyro_clipped is None else np.hypot(added, imu.gyro_clipped))
     found = clipping.clipped(imu.t, imu.accel_b, clipping.ACCEL_FLOOR)
     if found:
-        warnings.append(clipping.told(name, imu.t, "accelerometer", found, "m/s^2"))
+        warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
         _, density = clipping.repaired(imu.t, imu.accel_b, found, clipping.ACCEL_DENSITY)
         imu = replace(imu, accel_clipped=density)
     return imu
