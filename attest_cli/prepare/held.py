@@ -8,6 +8,7 @@ from ..records import Array, Bools, Ints, Warn
 
 LONGEST_S = 0.4  # what stays longer is stuck
 MOSTLY, SELDOM = 0.5, 0.1  # share of the runs that are of the usual length; of those that are shorter
+FEW = 0.25  # of the rows
 ALIKE = 0.9  # of the new values come in rows in which the other sensor has one, too
 
 
@@ -35,6 +36,20 @@ def fresh(t: Array, values: Array) -> Bools | None:
     shorter = (length < usual - 1.0) | (length == 1)
     held = usual >= 2.0 and np.mean(near | more) > MOSTLY and np.mean(shorter) < SELDOM
     return new if held else None
+
+
+def blank(t: Array, table: Array) -> Bools:
+    """Tell the rows (n,) of gyro and accelerometer (n, 6) in which all is exactly zero, for less than 0.4 s: no sample.
+
+    Longer ones are stuck, or of a simulation that rests without gravity.
+    """
+    zero: Bools = np.logical_and.reduce([column == 0.0 for column in table.T])
+    edges = np.flatnonzero(np.diff(zero, prepend=False, append=False))
+    first, last = edges[::2], edges[1::2] - 1
+    if not edges.size or np.count_nonzero(zero) > FEW * len(t):
+        return np.zeros(len(t), dtype=np.bool_)
+    run = np.searchsorted(first, np.arange(len(t)), side="right") - 1
+    return np.asarray(zero & (t[last] - t[first] < LONGEST_S)[run])
 
 
 def released(name: str, t: Array, table: Array, warnings: list[Warn]) -> tuple[Bools, Array]:

@@ -17,7 +17,7 @@ from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .epochs import HOUR_S, SET_NS, whole_hours
 from .jitter import jittered
 from .lost import LARGEST
-from .spikes import ACCEL_FLOOR, GYRO_FLOOR, spikes
+from .spikes import ACCEL_FLOOR, AROUND, GYRO_BURST, GYRO_FLOOR, WIDTH, spikes
 
 MIN_ROWS = 50
 MIN_SECONDS = 2.0
@@ -79,21 +79,14 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
-    interleaved.refuse(f"{files}: {parts[0].name}", table)
-    new, table = held.released(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
-    if not new.all():
-        stamps_ns, table = stamps_ns[new], table[new]
-        _enough(files, stamps_ns)
-    frozen = _frozen(f"{files}: {parts[0].name}", seconds(stamps_ns, t0_ns), table, warnings)
-    if frozen.any():
-        stamps_ns, table = stamps_ns[~frozen], table[~frozen]
-        _enough(files, stamps_ns)
+    stamps_ns, table = _sampled(f"{files}: {parts[0].name}", stamps_ns, t0_ns, table, warnings)
+    _enough(files, stamps_ns)
     gyro, accel = _in_si(parts, stamps_ns, t0_ns, table, settings, warnings)
     warnings += stuck.told_coarse(f"{files}: {parts[0].name}", gyro)
     del table, ordered, first  # a long log is not held twice
     for part in parts if spent else ():
         cast("dict[str, Array]", part.values).clear()
-    lone = _alone(gyro, GYRO_FLOOR) | _alone(accel, ACCEL_FLOOR)
+    lone = _alone(gyro, GYRO_FLOOR) | _alone(gyro, GYRO_BURST, AROUND) | _alone(accel, ACCEL_FLOOR)
     if lone.any():
         warnings.append(_told_spikes(f"{files}: {parts[0].name}", lone, stamps_ns, t0_ns))
         stamps_ns, gyro, accel = stamps_ns[~lone], gyro[~lone], accel[~lone]
@@ -110,6 +103,21 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
     return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, rows_in, seconds_in, tuple(warnings))
 
 
+def _sampled(name: str, stamps_ns: Ints, t0_ns: int, table: Array, warnings: list[Warn]) -> tuple[Ints, Array]:
+    """Return the stamps and rows of the raw ``table`` (n, 6) that are samples of one sensor; say what is left out."""
+    interleaved.refuse(name, table)
+    blank = held.blank(seconds(stamps_ns, t0_ns), table)
+    if blank.any():
+        message = f"{name}: {np.count_nonzero(blank)} of {blank.size} rows dropped: all values are zero"
+        warnings.append(Warn("imu-spikes", message, "does the driver write zeros where it has no sample?"))
+        stamps_ns, table = stamps_ns[~blank], table[~blank]
+    new, table = held.released(name, seconds(stamps_ns, t0_ns), table, warnings)
+    if not new.all():
+        stamps_ns, table = stamps_ns[new], table[new]
+    frozen = _frozen(name, seconds(stamps_ns, t0_ns), table, warnings)
+    return (stamps_ns[~frozen], table[~frozen]) if frozen.any() else (stamps_ns, table)
+
+
 def _in_si(
     parts: Sequence[Channel], stamps_ns: Ints, t0_ns: int, table: Array, settings: Settings, warnings: list[Warn]
 ) -> tuple[Array, Array]:
@@ -123,9 +131,9 @@ def _in_si(
     return units.gyroscope(gyro_part, COLUMNS["gyro"], t, accel, warnings), accel
 
 
-def _alone(values: Array, floor: float) -> Bools:
+def _alone(values: Array, floor: float, width: int = WIDTH) -> Bools:
     """Tell the rows (n,) of spikes, axis by axis: all at once would be another copy of a long log."""
-    rows: Bools = np.logical_or.reduce([spikes(values[:, i : i + 1], floor) for i in range(values.shape[1])])
+    rows: Bools = np.logical_or.reduce([spikes(values[:, i : i + 1], floor, width) for i in range(values.shape[1])])
     return rows
 
 
@@ -320,7 +328,7 @@ def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn])
 
 def _told_spikes(name: str, lone: Bools, stamps_ns: Ints, t0_ns: int) -> Warn:
     count, first = int(np.count_nonzero(lone)), seconds(stamps_ns[lone][:1], t0_ns)[0]
-    message = f"{name}: {count} of {lone.size} rows dropped: spikes of a single sample, the first at {first:.2f} s"
+    message = f"{name}: {count} of {lone.size} rows dropped: spikes, the first at {first:.2f} s"
     return Warn("imu-spikes", message, "what is left is used; a loose plug or a lost byte makes such samples")
 
 

@@ -10,7 +10,8 @@ from ..records import Array, Bools
 WIDTH, AROUND = 5, 9  # samples of the median, and of what else happens there
 FACTOR = 50.0  # of the robust sigma of what the median leaves
 ALONE = 30.0  # times the neighbours: hammer blows on an IMU at rest ring, and reach 19
-ACCEL_FLOOR, GYRO_FLOOR = 20.0, 5.0  # m/s^2, rad/s: less can be a pothole or a turn
+ACCEL_FLOOR = 20.0  # m/s^2: less can be a pothole
+GYRO_FLOOR, GYRO_BURST = 1.0, 2.0  # rad/s, of a sample or two, of up to four: less can be a knock
 SAMPLED = 20_000  # rows that tell the sigma
 
 

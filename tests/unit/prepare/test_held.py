@@ -85,3 +85,17 @@ def test_a_log_tells_it_once_and_a_stuck_sensor_stays_stuck() -> None:
     assert "imu-held" not in {
         w.code for w in prepare([replace(recording, channels=(replace(channel, values=clean),))], Settings()).warnings
     }
+
+
+def test_rows_of_zeros_are_no_samples_but_a_rest_without_gravity_is() -> None:
+    table = measured()
+    rows = np.random.default_rng(5).choice(len(T), 120, replace=False)
+    table[rows] = 0.0
+    assert np.array_equal(np.flatnonzero(held.blank(T, table)), np.sort(rows))
+    table[1000:1100] = 0.0
+    assert not held.blank(T, table)[1000:1100].any()
+    assert not held.blank(T, measured()).any()
+    assert not held.blank(T, np.zeros((len(T), 6))).any()
+    lone = measured()
+    lone[77, :5] = 0.0
+    assert not held.blank(T, lone).any()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from attest_cli.prepare.spikes import ACCEL_FLOOR, AROUND, spikes
+from attest_cli.prepare.spikes import ACCEL_FLOOR, AROUND, GYRO_BURST, spikes
 
 
 def still(n: int = 2000, seed: int = 3) -> np.ndarray:
@@ -57,3 +57,12 @@ def test_a_step_stays() -> None:
 @pytest.mark.parametrize("n", [0, 1, 8])
 def test_a_log_too_short_has_none(n: int) -> None:
     assert spikes(np.full((n, 3), 1e9), 1.0).tolist() == [False] * n
+
+
+@pytest.mark.parametrize("rows", [[700], [700, 701], [700, 701, 702], [700, 701, 702, 703]])
+def test_a_burst_is_found_by_a_wider_median_and_a_knock_is_none(rows: list[int]) -> None:
+    rate, t = np.random.default_rng(6).normal(0.0, 0.002, (2000, 1)), np.arange(2000)
+    knock = 3.0 * np.exp(-(((t - 1500) / 3.0) ** 2))[:, None]
+    assert not spikes(rate + knock, GYRO_BURST, AROUND).any()
+    rate[rows] += 5.0
+    assert np.flatnonzero(spikes(rate, GYRO_BURST, AROUND)).tolist() == rows
