@@ -9,6 +9,7 @@ import numpy as np
 
 from ..maths import rotation
 from ..maths.kalman import symmetric
+from ..nodes.noise import clipped_density
 from ..records import Array, Imu, Segment, Segmentation, Smoothed
 from ..settings import Settings
 from .chain import blocks, markov
@@ -92,7 +93,8 @@ def inertial_position(
     conditioned on the zero velocity at its end: :math:`x_k\leftarrow x_k-\Sigma_k\Lambda_k^TS^{-1}v(T)`, where
     :math:`\mathrm{Cov}(x_k,v(T))=\Sigma_k\Lambda_k^T` follows from the error chain. ``literal``: eqs 41-44 (with their
     index corrected) and the linear removal :math:`v-\frac{t-t_0}{T}v(T)`, :math:`p-\frac{(t-t_0)^2}{2T}v(T)`.
-    In motion the accelerometer is noisier than at rest (shaking): by as much as the velocities v(T) ask for.
+    In motion the accelerometer is noisier than at rest (shaking): by as much as the velocities v(T) ask for. So it is
+    where its samples are clipped or lost.
 
     Notes
     -----
@@ -104,10 +106,11 @@ def inertial_position(
     for leg in legs:
         if leg.motion is not None:
             leg.force, leg.R, leg.end = _means(strapdown, leg.rows, smoothed.t[leg.at])
-    P, parts, closings = _solved(strapdown, smoothed, legs, settings, accel_density)
+    noise = accel_density**2 + clipped_density(imu.t, imu.accel_clipped, smoothed.t)
+    P, parts, closings = _solved(strapdown, smoothed, legs, settings, noise)
     shaking = _shaking(closings)
     if shaking > 0.0:
-        P, parts, _ = _solved(strapdown, smoothed, legs, settings, float(np.hypot(accel_density, shaking)))
+        P, parts, _ = _solved(strapdown, smoothed, legs, settings, noise + shaking**2)
 
     def course() -> Iterator[tuple[Array, Array]]:
         return _course(strapdown, parts, smoothed.t)
@@ -176,9 +179,11 @@ def _means(strapdown: Strapdown, rows: slice, nodes: Array) -> tuple[Array, Arra
 
 
 def _solved(
-    strapdown: Strapdown, smoothed: Smoothed, legs: list[Leg], settings: Settings, density: float
+    strapdown: Strapdown, smoothed: Smoothed, legs: list[Leg], settings: Settings, white: Array
 ) -> tuple[Array, list[Part], list[Closing]]:
-    """Return the covariance at the nodes, the legs as they are told, and the velocities left at their ends."""
+    """Return the covariance at the nodes, the legs as they are told, and the velocities left at their ends; ``white``
+    (n - 1,) is the spectral density of the force between the nodes, m^2/s^3.
+    """
     t, nodes = strapdown.t, smoothed.t
     P, spread, here = np.full((len(nodes), 3, 3), np.nan), np.zeros((3, 3)), np.zeros(3)
     parts, closings = list[Part](), list[Closing]()
@@ -187,7 +192,7 @@ def _solved(
         if leg.motion is None:
             parts.append(Part(leg, here, np.empty((0, 3)), np.empty((0, 3))))
             continue
-        dv, dp, C, S = _closed(leg, smoothed, settings, density, strapdown.literal)
+        dv, dp, C, S = _closed(leg, smoothed, settings, white, strapdown.literal)
         parts.append(Part(leg, here, dv, dp))
         P[leg.at] = spread + C
         last = leg.rows.stop - 1
@@ -228,7 +233,7 @@ def _course(strapdown: Strapdown, parts: list[Part], nodes: Array) -> Iterator[t
         yield p, v
 
 
-def _model(leg: Leg, smoothed: Smoothed, lo: int, hi: int, density: float) -> tuple[Array, Array, Array]:
+def _model(leg: Leg, smoothed: Smoothed, lo: int, hi: int, white: Array) -> tuple[Array, Array, Array]:
     """Return the transitions and their noise (k, 15, 15) of ``[dtheta_n, dbias, dv, dp, dba]`` between the nodes ``lo
     .. hi`` of a leg, and the covariance (6, 6) of attitude and bias at the first.
     """
@@ -246,13 +251,13 @@ def _model(leg: Leg, smoothed: Smoothed, lo: int, hi: int, density: float) -> tu
     B[:, :6] = np.eye(6)
     B[:, 6:9, :3], B[:, 9:12, :3] = half, 0.5 * tau * half
     noise = B @ chain.W @ B.swapaxes(1, 2)
-    noise[:, 6:9, 6:9] += density**2 * tau * np.eye(3)
+    noise[:, 6:9, 6:9] += white[lo:hi, None, None] * tau * np.eye(3)
     noise[:, 12:, 12:] = ACCEL_WALK**2 * tau * np.eye(3)
     return A, noise, chain.P[0]
 
 
 def _closed(
-    leg: Leg, smoothed: Smoothed, settings: Settings, density: float, literal: bool
+    leg: Leg, smoothed: Smoothed, settings: Settings, white: Array, literal: bool
 ) -> tuple[Array, Array, Array, Array]:
     """Return corrections of velocity and position (m, 3) at the nodes of a leg, the position covariance (m, 3, 3) after
     them, and the covariance (15, 15) before them at its end.
@@ -262,7 +267,7 @@ def _closed(
     S, vp = np.zeros((15, 15)), np.empty((m, 6, 15))
     A = np.empty((0, 15, 15))
     for lo, hi in stretches:
-        A, noise, P = _model(leg, smoothed, lo, hi, density)
+        A, noise, P = _model(leg, smoothed, lo, hi, white)
         if lo == first:
             S[:6, :6], S[6:9, 6:9] = P, STILL_M_S**2 * np.eye(3)
             S[12:, 12:] = settings.imu.accel_bias_sigma**2 * np.eye(3)
@@ -279,7 +284,7 @@ def _closed(
     after[:, 6:9] = np.eye(3)
     for number, (lo, hi) in enumerate(reversed(stretches)):
         if number:  # of the last stretch they are still here
-            A = _model(leg, smoothed, lo, hi, density)[0]
+            A = _model(leg, smoothed, lo, hi, white)[0]
         adjoint = np.empty((hi - lo + 1, 3, 15))
         adjoint[-1] = after
         for k in range(hi - lo - 1, -1, -1):

@@ -190,6 +190,9 @@ def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> I
         warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
         _, density = clipping.repaired(imu.t, imu.accel_b, found, clipping.ACCEL_DENSITY)
         imu = replace(imu, accel_clipped=density)
+    bridged = lost.bridged(imu.t, imu.accel_b, longest_s)
+    if bridged is not None:
+        imu = replace(imu, accel_clipped=bridged if imu.accel_clipped is None else np.hypot(bridged, imu.accel_clipped))
     return imu
 
 
@@ -319,11 +322,26 @@ def _merged(gyro: _Rows, accel: _Rows, settings: Settings, warnings: list[Warn])
         accel = replace(accel, stamps_ns=accel.stamps_ns[~lone], values=accel.values[~lone])
     t, ta = seconds(stamps_ns, origin), seconds(accel.stamps_ns, origin)
     force = np.stack([np.interp(t, ta, column) for column in accel.values.T], axis=1)
-    without = int(np.count_nonzero(~inside))
-    if without > 0.01 * inside.size:
-        message = f"{without} of {inside.size} rows of {gyro.channel.name} dropped: {accel.channel.name} has none there"
-        warnings.append(Warn("imu-half-missing", message))
+    warnings += _half_missing(gyro, accel, inside)
     return stamps_ns, np.concatenate([gyro.values[inside], force], axis=1)
+
+
+def _half_missing(gyro: _Rows, accel: _Rows, inside: Bools) -> list[Warn]:
+    """Say where one half of the IMU has rows and the other has none; data is lost where that is at an end."""
+    without, (a, b), (c, d) = int(np.count_nonzero(~inside)), *((part.stamps_ns[[0, -1]]) for part in (gyro, accel))
+    both = float(min(b, d) - max(a, c))
+    lost_s = {
+        part.channel.name: 1e-9 * (float(end - start) - both) for part, start, end in ((gyro, a, b), (accel, c, d))
+    }
+    longest = max(lost_s, key=lambda name: lost_s[name])
+    if lost_s[longest] > FEW_MISSING * both * 1e-9:
+        other = next(name for name in lost_s if name != longest)
+        message = f"{lost_s[longest]:.2f} s of {longest} dropped: {other} has no rows there"
+        return [Warn("imu-half-missing", message, "is its file whole, and of the same drive?", lost=True)]
+    if without > FEW_MISSING * inside.size:
+        message = f"{without} of {inside.size} rows of {gyro.channel.name} dropped: {accel.channel.name} has none there"
+        return [Warn("imu-half-missing", message)]
+    return []
 
 
 def _told_spikes(name: str, lone: Bools, stamps_ns: Ints, t0_ns: int) -> Warn:

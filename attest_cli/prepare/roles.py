@@ -53,8 +53,8 @@ def choose(recordings: Sequence[Recording], settings: Settings) -> Cast:
     if not ("imu" in cast or {"gyro", "accel"} <= cast.keys()):
         raise AttestError(*_no_imu(recordings, found, cast))
     if "imu" in cast and not {"gyro", "accel"} & named.keys():
-        cast.pop("gyro", None)
-        cast.pop("accel", None)
+        halves = [cast.pop(role) for role in ("gyro", "accel") if role in cast]
+        warnings += _beside(cast["imu"], halves) if halves and "imu" not in named else []
     elif {"gyro", "accel"} <= cast.keys():
         cast.pop("imu", None)
     return Cast(cast, warnings)
@@ -188,6 +188,15 @@ def _best(role: str, candidates: list[Channel], imu: Channel | None, warnings: l
     hint = f"--map {role}=... takes another"
     warnings.append(Warn("several-channels", f"{len(candidates)} {what}: {names}; {best.name} is used", hint))
     return best
+
+
+def _beside(imu: Channel, halves: list[Channel]) -> list[Warn]:
+    """Say that an IMU is used and not the gyro or accelerometer of another."""
+    what = "IMUs" if len(halves) > 1 else "gyros" if halves[0].role == "gyro" else "accelerometers"
+    names = " with ".join(f"{channel.name} ({channel.stamps_ns.size} rows)" for channel in halves)
+    message = f"2 {what}: {imu.name} ({imu.stamps_ns.size} rows), {names}; {imu.name} is used"
+    hint = "--map gyro=... --map accel=... takes the other" if len(halves) > 1 else "leave out the other"
+    return [Warn("several-channels", message, hint)]
 
 
 def _file(channel: Channel) -> str:

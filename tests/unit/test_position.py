@@ -302,3 +302,15 @@ def test_the_chain_of_a_forward_pass_turns_with_the_gyro() -> None:
     Phi, _ = transition(np.zeros((1, 3)), np.array([run.t[k + 1] - run.t[k]]), 0.0, 0.0)
     assert np.allclose(errors.F[k][:3, :3], np.eye(3), atol=1e-6)  # about world axes an attitude error stays
     assert np.allclose(errors.F[k][:3, 3:], R[k] @ Phi[0][:3, 3:], atol=1e-3)
+
+
+def test_clipped_or_lost_force_widens_the_place_from_there_on(short: Drive) -> None:
+    sure, imu = short.inertial(), short.work.log.imu
+    motion = next(s for s in short.work.segmentation.segments if s.motion)
+    middle = 0.5 * (motion.start + motion.end)
+    spoilt = np.where(np.abs(imu.t - middle) < 0.2, 10.0, 0.0)
+    unsure = short.inertial(imu=replace(imu, accel_clipped=spoilt))
+    wider = np.trace(unsure.P, axis1=1, axis2=2) / np.maximum(np.trace(sure.P, axis1=1, axis2=2), 1e-12)
+    t = short.smoothed.t
+    assert wider[np.searchsorted(t, motion.end)] > 1.5
+    assert np.all(wider[t < motion.start] == 1.0)
