@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..errors import AttestError
 from ..records import Array, Bools, Ints, Warn
@@ -13,6 +14,7 @@ from .epochs import HOUR_S, whole_hours
 STEP_BACK_NS = 500_000_000
 """A larger step back is another clock, not rows in a wrong order."""
 
+AROUND, FEW_DAMAGED = 7, 0.02  # rows that tell when one was; share of those that are far from them
 REVERSED = 0.9  # of the rows are each before the one above it: a log that begins at its end
 LONGEST_BATCH_NS = 500_000_000
 SHARED = 1.5
@@ -61,6 +63,9 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
     if np.any(back):
         worst = int(np.argmax(back))
         if strict and back[worst] > STEP_BACK_NS:
+            near = _near(stamps_ns)
+            if not near.all():
+                return _without(name, stamps_ns, values, t0_ns, near)
             _refuse_step(name, stamps_ns, latest, back, t0_ns)
         rows = np.argsort(stamps_ns, kind="stable").astype(np.int64)
         late = f"{np.count_nonzero(back)} rows out of order, by {back[worst] * 1e-9:.3f} s at most"
@@ -93,6 +98,24 @@ def gaps(stamps_ns: Ints, max_gap_s: float, periods: float = 5.0) -> Ints:
     limit = max(max_gap_s * 1e9, periods * float(np.median(steps)))
     holes = np.flatnonzero(steps > limit)
     return np.stack([stamps_ns[holes], stamps_ns[holes + 1]], axis=1)
+
+
+def _near(stamps_ns: Ints) -> Bools:
+    """Tell the stamps that are near those around them; all where many are not, as two clocks in turn would be."""
+    if stamps_ns.size < AROUND:
+        return np.ones(stamps_ns.size, dtype=np.bool_)
+    around = sliding_window_view(np.pad(stamps_ns, AROUND // 2, mode="reflect"), AROUND)
+    near: Bools = np.abs(stamps_ns - np.partition(around, AROUND // 2, axis=1)[:, AROUND // 2]) <= STEP_BACK_NS
+    return near if np.count_nonzero(~near) < FEW_DAMAGED * near.size else np.ones_like(near)
+
+
+def _without(name: str, stamps_ns: Ints, values: Array, t0_ns: int, near: Bools) -> Ordered:
+    """Put the rows in order that are near in time to those around them, and say so."""
+    found, rows = in_order(name, stamps_ns[near], values[near], t0_ns), np.flatnonzero(near)
+    count = near.size - rows.size
+    message = f"{name}: {count} of {near.size} rows dropped: their stamps are far from those around them"
+    told = Warn("rows-without-time", message, "zero, or damaged: does the driver stamp every sample?")
+    return Ordered(rows[found.rows], found.stamps_ns, (told, *found.warnings))
 
 
 def _refuse_step(name: str, stamps_ns: Ints, latest: Ints, back: Ints, t0_ns: int) -> None:

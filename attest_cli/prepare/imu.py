@@ -292,8 +292,10 @@ def _outside(files: str, stamps_ns: Ints, rows: _Rows, t0_ns: int) -> None:
 def _enough(files: str, stamps_ns: Ints) -> None:
     seconds = float(stamps_ns[-1] - stamps_ns[0]) * 1e-9 if stamps_ns.size else 0.0
     if stamps_ns.size < MIN_ROWS or seconds < MIN_SECONDS:
-        message = f"{files}: only {stamps_ns.size} usable IMU rows over {seconds:.2f} s"
-        raise AttestError(message, f"attest needs at least {MIN_ROWS} rows and {MIN_SECONDS:g} s")
+        message = f"{files}: only {stamps_ns.size} usable IMU rows over {seconds:.2g} s"
+        needed = f"attest needs at least {MIN_ROWS} rows and {MIN_SECONDS:g} s"
+        fast = stamps_ns.size >= MIN_ROWS and seconds < STEPS_S[0] * stamps_ns.size
+        raise AttestError(message, f"{needed}; is the unit of time another? --time-unit states it" if fast else needed)
 
 
 def _rated(files: str, rows: _Rows) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections import Counter
@@ -11,9 +12,11 @@ from pathlib import Path
 
 from ..errors import AttestError
 from ..settings.table import Table
-from .headers import named
+from .columns import recognise
+from .headers import Row, named
 
 HEAD_BYTES = 1 << 16
+NAMES = 3  # of columns that are known make a header
 DELIMITERS = {"tab": "\t", ";": ";", ",": ",", "space": " "}
 """Name of a delimiter in the settings -> the delimiter, the least ambiguous first."""
 
@@ -87,7 +90,7 @@ def sniff(path: Path, table: Table | None = None) -> Dialect:
     else:
         found = named(above, len(first) - (not first[-1].strip()), len(first))
         if found is None:
-            raise _headless(path, rows, delimiter, table)
+            raise _misfit(path, rows, above, delimiter) or _headless(path, rows, delimiter, table)
         names, units, header = found
     decimal = table.decimal or decimal_of(path, [cells for _, cells in rows])
     spoken = next(name for name, mark in DELIMITERS.items() if mark == delimiter)
@@ -103,16 +106,16 @@ def head_lines(path: Path) -> list[str]:
         raw = stream.read(HEAD_BYTES)
         cut = bool(stream.read(1))
     try:
-        text = raw.decode("utf-8-sig", "ignore" if cut else "strict")
+        text = codecs.getincrementaldecoder("utf-8-sig")().decode(raw, final=not cut)  # a character may be cut
     except UnicodeDecodeError:
         text = raw.decode("latin-1")
     lines = re.split(r"\r\n|\n|\r", text)  # as Arrow counts them: no other character ends a line
     return lines[: -1 if cut or not lines[-1] else None]
 
 
-def layout(path: Path, lines: Sequence[str], table: Table) -> tuple[str, list[tuple[int, list[str]]]]:
+def layout(path: Path, lines: Sequence[str], table: Table) -> tuple[str, list[Row]]:
     """Choose the delimiter that makes most of the lines rows of numbers; return it and those rows with their line."""
-    best: tuple[float, str, list[tuple[int, list[str]]]] = (0.0, "", [])
+    best: tuple[float, str, list[Row]] = (0.0, "", [])
     names = [table.delimiter] if table.delimiter else list(DELIMITERS)
     for delimiter in (DELIMITERS[name] for name in names):
         rows = [(n, cells) for n, line in enumerate(lines) if is_data(line, cells := cells_of(line, delimiter))]
@@ -165,7 +168,19 @@ def decimal_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
     return ","
 
 
-def _headless(path: Path, rows: Sequence[tuple[int, list[str]]], delimiter: str, table: Table) -> AttestError:
+def _misfit(path: Path, rows: Sequence[Row], above: Sequence[Row], delimiter: str) -> AttestError | None:
+    """Say that there is a header of another width than the rows; None if there is none."""
+    number, names = above[-1] if above else (0, [])
+    if sum(recognise(0, name) is not None for name in names) < NAMES:
+        return None
+    line, cells = rows[0]
+    message = f"{path}: line {number + 1} names {len(names)} columns, but line {line + 1} has {len(cells)} cells"
+    if delimiter == "," and len(cells) > len(names) and _paired(rows):
+        return AttestError(message, "are these decimal commas? Then export with semicolons or tabs")
+    return AttestError(message, "give every column one name, and one only; or name them with --columns")
+
+
+def _headless(path: Path, rows: Sequence[Row], delimiter: str, table: Table) -> AttestError:
     """Say that there is no header, and how to name the columns."""
     width = len(rows[0][1])
     for place in (0, 1):
@@ -185,6 +200,6 @@ def _headless(path: Path, rows: Sequence[tuple[int, list[str]]], delimiter: str,
     return AttestError(message, f"name them in order: --columns {_EXAMPLE}{more}")
 
 
-def _paired(rows: Sequence[tuple[int, list[str]]]) -> bool:
-    """Tell whether all cells are whole numbers, as decimals cut in two at their comma are."""
-    return all(re.fullmatch(r"\s*-?\d+\s*", cell) for _, cells in rows[:50] for cell in cells)
+def _paired(rows: Sequence[Row]) -> bool:
+    """Tell whether all cells are whole numbers or blank, as decimals cut in two at their comma are."""
+    return all(re.fullmatch(r"\s*(-?\d+)?\s*", cell) for _, cells in rows[:50] for cell in cells)

@@ -132,6 +132,7 @@ def layout_of(
         if column is not None:
             key = (column.instance, column.canonical)
             best[key] = min(best.get(key, column), column, key=lambda c: c.rank)
+    _one_sensor_each(path, spoken, list(best.values()))
     if not best:
         raise AttestError(f"{path}: no column that attest knows among {_some(names)}", NAMES_HINT)
     columns = tuple(replace(column, name=names[column.index]) for column in best.values())
@@ -151,6 +152,15 @@ def _renamed(path: Path, names: Sequence[str], table: Table) -> tuple[list[str],
             missing[old] = Warn("no-such-column", message, f"the nearest: {', '.join(map(repr, near))}")
     new = {old.strip(): name for old, name in table.names.items()}
     return [new.get(name.strip(), name) for name in names], missing
+
+
+def _one_sensor_each(path: Path, names: Sequence[str], found: Sequence[Column]) -> None:
+    """Refuse columns x, y, z that come again and do not say of what, where there is no gyro and no accelerometer."""
+    twice = [name for name, count in Counter(n.strip() for n in names).items() if count > 1]
+    axes = [name for name in twice if words_of(name)[0] in (["x"], ["y"], ["z"])]
+    if axes and not {"gyro", "accel"} & {column.canonical[:-2] for column in found}:
+        message = f"{path}: column {axes[0]!r} appears more than once, and does not say of which sensor"
+        raise AttestError(message, f"give every column a name of its own; {NAMES_HINT}")
 
 
 def times_of(

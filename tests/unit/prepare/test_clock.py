@@ -145,3 +145,25 @@ def test_holes_are_longer_than_the_limit_and_than_five_periods() -> None:
     slow = T0 + np.arange(100, dtype=np.int64) * 1000 * MS
     assert gaps(slow, 0.5).size == 0
     assert gaps(slow[:1], 0.5).shape == (0, 2)
+
+
+@pytest.mark.parametrize("damaged", [0, 10**18, -5])
+def test_single_stamps_far_from_the_others_are_dropped_and_told(damaged: int) -> None:
+    stamps = 1_717_232_400_000_000_000 + np.arange(2000, dtype=np.int64) * 10_000_000
+    values = np.random.default_rng(1).normal(size=(2000, 6))
+    rows = [3, 500, 501, 502, 1500, 1999]
+    bad = stamps.copy()
+    bad[rows] = damaged
+    found = in_order("log.csv: imu", bad, values, int(stamps[0]))
+    keep = np.setdiff1d(np.arange(2000), rows)
+    np.testing.assert_array_equal(found.rows, keep)
+    np.testing.assert_array_equal(found.stamps_ns, stamps[keep])
+    assert [w.code for w in found.warnings] == ["rows-without-time"]
+    assert "6 of 2000 rows" in found.warnings[0].message
+
+
+def test_a_clock_that_steps_back_is_refused_as_before() -> None:
+    stamps = np.arange(2000, dtype=np.int64) * 10_000_000
+    stamps[1000:] -= 5_000_000_000
+    with pytest.raises(AttestError, match="steps back"):
+        in_order("log.csv: imu", stamps, np.zeros((2000, 6)), 0)
