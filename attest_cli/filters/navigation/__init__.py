@@ -12,7 +12,7 @@ from ...nodes import Nodes
 from ...records import FilterRun, Warn
 from ...settings import Settings
 from .. import Drive, Forward
-from . import solve
+from . import axes, solve
 from .aids import Place
 from .problem import Problem
 from .rounds import Navigated, navigate
@@ -24,12 +24,12 @@ CONTRADICTED = 4.0  # mean square of innovations over what is expected
 
 def forward(drive: Drive) -> Forward:
     """Solve the drive and return its last forward pass, from which every smoother goes back."""
-    done = navigate(drive)
+    done, axes_told = _with_own_axes(drive)
     wanders = _wanders(done)
     if wanders:
-        done = navigate(replace(drive, settings=_as_rover(drive.settings)))
+        done, axes_told = _with_own_axes(replace(drive, settings=_as_rover(drive.settings)))
     late = (_late(role, lag) for role, lag in sorted(done.learnt.lags.items()))
-    told = (*wanders, *done.begun.warnings, *done.problem.warnings, *late, *_scattered(drive, done))
+    told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *_scattered(drive, done))
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done))
 
@@ -45,6 +45,20 @@ def _wanders(done: Navigated) -> tuple[Warn, ...]:
         return ()
     return (Warn("not-in-one-place", "the log goes further than a hand would: its place is left free",
                  "[navigation] motion says what it is; --filter indirect is often as good"),)  # fmt: skip
+
+
+def _with_own_axes(drive: Drive) -> tuple[Navigated, tuple[Warn, ...]]:
+    """Return the drive solved; without the errors of the gyro's scale and axes, and what they are, where it contradicts
+    what is assumed of them, and they leave less to explain.
+    """
+    done = navigate(drive)
+    if not axes.contradicted(done.problem, done.found):
+        return done, ()
+    better = axes.mended(drive, navigate(axes.widened(drive, axes.WIDE)))
+    again = navigate(better[0]) if better is not None else done
+    if better is None or axes.misfit(again) >= axes.misfit(done):
+        return done, ()
+    return again, (axes.told(*better[1:]),)
 
 
 def _as_rover(settings: Settings) -> Settings:

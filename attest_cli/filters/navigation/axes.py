@@ -1,0 +1,102 @@
+r"""The scale and misalignment :math:`M` of a gyro that a drive shows, where they are beyond what is assumed.
+
+.. math:: \omega_m=(I+M)\omega+b
+
+The states of the navigation are for the small errors of a calibrated sensor. A wider prior would cost a good gyro some
+of its accuracy, so it is asked only where the drive contradicts the narrow one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...maths import rotation
+from ...maths.consistency import upper_quantile
+from ...records import Array, Warn
+from .. import Drive, scale
+from . import solve
+from .problem import Problem
+from .rounds import Navigated
+
+STATES = "gyro scale"
+SHOWS = 0.05  # of its prior variance: what the drive must take off a combination of states for it to count
+SURE = 1e-4  # chance of a misfit taken as proof
+WIDE, LARGEST = 0.15, 0.3  # sigma with which the errors are looked for; larger ones are another fault
+FAR = 30.0  # NIS that is larger counts as this
+TOLD, SIGMAS = 0.005, 3.0  # least error that is told, and in sigmas
+TURNED_RAD = np.radians(1.2)  # from which a turn is told as a contradiction
+HINT = "calibrate its scale and axes; what the drive shows of them was taken out, sigma counts what is left"
+TURNED_HINT = "if the accelerometer is the one that is turned, tilt is off by as much: calibrate their axes"
+
+
+def contradicted(problem: Problem, found: solve.Solution) -> bool:
+    r"""Whether the gyro's errors are beyond what is assumed of them:
+
+    .. math:: \hat x^T(P_0-P)^{-1}\hat x
+
+    is chi-square where they are not, for :math:`\hat x` is what the innovations have of the states, of covariance
+    :math:`P_0-P`. Combinations of them that the drive does not show are left out.
+    """
+    if STATES not in problem.layout:
+        return False
+    part = problem.layout.parts[STATES]
+    P0, P = problem.prior[1][part, part], found.errors.P[0, part, part]
+    root = np.sqrt(np.diag(P0))
+    shown, V = np.linalg.eigh((P0 - P) / np.outer(root, root))
+    use = shown > SHOWS
+    z = V.T @ ((found.smoothed.x[0, part] - problem.prior[0].x[0, part]) / root)
+    return bool(use.any()) and float(np.sum(z[use] ** 2 / shown[use])) > upper_quantile(int(use.sum()), SURE)
+
+
+def widened(drive: Drive, sigma: float) -> Drive:
+    """Return the drive with a gyro whose scale and axes may be off by as much."""
+    sources = {**drive.noise.sources, "gyro_scale_sigma": scale.SHOWN}
+    return replace(drive, noise=replace(drive.noise, gyro_scale=sigma, sources=sources))
+
+
+def mended(drive: Drive, wide: Navigated) -> tuple[Drive, Array, Array] | None:
+    """Return the drive without the errors of its gyro that the solution with a ``wide`` prior shows, the axes
+    :math:`I+M` (3, 3) of that gyro and their sigma; none where it is no error of scale and axes.
+    """
+    part = wide.problem.layout.parts[STATES]
+    M = wide.found.smoothed.x[0, part].reshape(3, 3)
+    sigma = np.sqrt(np.diagonal(wide.found.errors.P[0])[part]).reshape(3, 3)
+    if np.abs(M).max() > LARGEST:
+        return None
+    gyro, bias = drive.log.imu.gyro_b, drive.segmentation.bias_b
+    imu = replace(drive.log.imu, gyro_b=gyro - (gyro - bias) @ M.T)
+    left = max(float(np.median(sigma)), drive.noise.gyro_scale)
+    return widened(replace(drive, log=replace(drive.log, imu=imu)), left), np.linalg.inv(np.eye(3) - M), sigma
+
+
+def misfit(done: Navigated) -> float:
+    """Return the sum of the NIS of all sensors, outliers capped."""
+    nis = solve.innovations(done.found.found, done.found.rows).nis
+    return float(np.minimum(nis, FAR).sum())
+
+
+def told(axes: Array, sigma: Array) -> Warn:
+    r"""Say what the gyro's ``axes`` :math:`I+M=RS` are: turned by ``R`` against the accelerometer, with the scale ``S``.
+
+    Which of the two sensors is turned no drive tells: beyond a small turn, the attitude may be that of the wrong one.
+    """
+    U, _, V = np.linalg.svd(axes)
+    turn, S = rotation.log_quaternion(rotation.from_matrix(U @ V)), (U @ V).T @ axes
+    of_turn = 0.5 * np.hypot([sigma[2, 1], sigma[0, 2], sigma[1, 0]], [sigma[1, 2], sigma[2, 0], sigma[0, 1]])
+    own = np.diag(S) - 1.0
+    facts, angle = list[str](), float(np.linalg.norm(turn))
+    if angle > TOLD and np.any(np.abs(turn) > SIGMAS * of_turn):
+        facts.append(f"is turned {np.degrees(angle):.1f} deg against the accelerometer")
+    sure = (np.abs(own) > TOLD) & (np.abs(own) > SIGMAS * np.diag(sigma))
+    if sure.any():
+        by_axis = ", ".join(f"{1.0 + own[i]:.3f}" for i in np.flatnonzero(sure))
+        names = ", ".join("xyz"[i] for i in np.flatnonzero(sure))
+        facts.append(f"reads {by_axis} times the rate about {names}")
+    message = (
+        " and ".join(facts) or f"has axes that are off by up to {np.degrees(np.abs(axes - np.eye(3)).max()):.1f} deg"
+    )
+    if facts and angle > TURNED_RAD and "turned" in facts[0]:
+        return Warn("gyro-against-accel", f"the gyro {message}: taken out", TURNED_HINT, fatal=True)
+    return Warn("gyro-scale", f"the gyro {message} by the other sensors: corrected", HINT)
