@@ -14,7 +14,7 @@ import numpy as np
 
 from ...maths import rotation
 from ...maths.consistency import upper_quantile
-from ...records import Array, Warn
+from ...records import Array, Imu, Warn
 from .. import Drive, scale
 from . import solve
 from .problem import Problem
@@ -24,6 +24,7 @@ STATES = "gyro scale"
 SHOWS = 0.05  # of its prior variance: what the drive must take off a combination of states for it to count
 SURE = 1e-4  # chance of a misfit taken as proof
 WIDE, LARGEST = 0.15, 0.3  # sigma with which the errors are looked for; larger ones are another fault
+OFTEN = 2e-3  # share of clipped samples that bends the scale
 FAR = 30.0  # NIS that is larger counts as this
 TOLD, SIGMAS = 0.005, 3.0  # least error that is told, and in sigmas
 TURNED_RAD = np.radians(1.2)  # from which a turn is told as a contradiction
@@ -31,15 +32,16 @@ HINT = "calibrate its scale and axes; what the drive shows of them was taken out
 TURNED_HINT = "if the accelerometer is the one that is turned, tilt is off by as much: calibrate their axes"
 
 
-def contradicted(problem: Problem, found: solve.Solution) -> bool:
-    r"""Whether the gyro's errors are beyond what is assumed of them:
+def contradicted(imu: Imu, problem: Problem, found: solve.Solution) -> bool:
+    r"""Whether the gyro's errors are beyond what is assumed of them, and no samples that it clipped explain that:
 
     .. math:: \hat x^T(P_0-P)^{-1}\hat x
 
     is chi-square where they are not, for :math:`\hat x` is what the innovations have of the states, of covariance
     :math:`P_0-P`. Combinations of them that the drive does not show are left out.
     """
-    if STATES not in problem.layout:
+    clipped = imu.gyro_clipped is not None and float(np.mean(imu.gyro_clipped > 0.0)) > OFTEN
+    if STATES not in problem.layout or clipped:
         return False
     part = problem.layout.parts[STATES]
     P0, P = problem.prior[1][part, part], found.errors.P[0, part, part]
@@ -68,7 +70,8 @@ def mended(drive: Drive, wide: Navigated) -> tuple[Drive, Array, Array] | None:
     gyro, bias = drive.log.imu.gyro_b, drive.segmentation.bias_b
     imu = replace(drive.log.imu, gyro_b=gyro - (gyro - bias) @ M.T)
     left = max(float(np.median(sigma)), drive.noise.gyro_scale)
-    return widened(replace(drive, log=replace(drive.log, imu=imu)), left), np.linalg.inv(np.eye(3) - M), sigma
+    better = widened(replace(drive, log=replace(drive.log, imu=imu)), left)
+    return better, np.asarray(np.linalg.inv(np.eye(3) - M)), np.asarray(sigma)
 
 
 def misfit(done: Navigated) -> float:
@@ -78,7 +81,7 @@ def misfit(done: Navigated) -> float:
 
 
 def told(axes: Array, sigma: Array) -> Warn:
-    r"""Say what the gyro's ``axes`` :math:`I+M=RS` are: turned by ``R`` against the accelerometer, with the scale ``S``.
+    r"""Say what ``axes`` the gyro has: :math:`I+M=RS`, turned by ``R`` against the accelerometer, of scale ``S``.
 
     Which of the two sensors is turned no drive tells: beyond a small turn, the attitude may be that of the wrong one.
     """
