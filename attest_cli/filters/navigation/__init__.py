@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
+from ...maths.kalman import Errors
 from ...nodes import Nodes
-from ...records import FilterRun, Warn
+from ...records import FilterRun, Smoothed, Warn
 from ...settings import Settings
 from .. import Drive, Forward
 from . import axes, solve
 from .aids import Place
+from .north import counted
 from .problem import Problem
 from .rounds import Navigated, navigate
 from .shown import shown
@@ -94,10 +95,14 @@ def _run(done: Navigated) -> FilterRun:
     at = found.at.moved(found.found.x)
     mean_known = "earth field" in done.problem.layout and bool(nodes.moving.any())
     relative = solve.relative_heading(found, nodes.t, nodes.moving) if mean_known else None
+
+    def read(errors: Errors) -> Smoothed:
+        return counted(solve.read(found, nodes.t, bias, relative, errors), done.problem.north)
+
     return FilterRun(
         nodes.t, at.q, at.x[:, bias], found.found.chain, None, solve.innovations(found.found, found.rows), nodes.moving,
         done.problem.heading, begun.start_in_motion,
-        partial(solve.read, found, nodes.t, bias, relative),
+        read,
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from . import colours
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .fixes import FAST_M_S, far_off, origin_of, place_of
 from .model import Inertial, Trajectory, inertial_of
+from .north import north_sigma
 from .start import heading_of_velocity, heading_of_wheels, heading_offset, mirrored
 from .states import Layout, State, layout
 from .streams import clock_of, height_of, velocity_of
@@ -64,7 +65,9 @@ Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What the solver needs; what ``heading`` counts from, and the ``origin`` of places: rad, rad, m (WGS 84)."""
+    """What the solver needs; what ``heading`` counts from, and the ``origin`` of places: rad, rad, m (WGS 84);
+    ``north``: sigma of its direction beyond what the states know, rad.
+    """
 
     layout: Layout
     prior: tuple[Trajectory, Array]
@@ -75,6 +78,7 @@ class Problem:
     warnings: tuple[Warn, ...]
     heading: str
     origin: tuple[float, float, float] | None
+    north: float
 
 
 def assemble(
@@ -100,17 +104,13 @@ def assemble(
                 Warn("north-not-shown", "the fixes do not show where north is: heading counts from the start")
             )
     aids, states = _inertial_aids(drive, nodes), _core_states(drive)
-    at_rest = bool((~nodes.moving).any())
-    field = None
+    field, north = None, 0.0
     if "magnetometer" in drive.log.fixes:
         field = _field_at_nodes(drive, nodes, q, bias)
-        norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
-        offset = OFFSET_SHARE if at_rest else OFFSET_SHARE_NO_REST
-        turned, _ = field_doubts(drive.log.fixes["magnetometer"], drive.log, drive.segmentation, drive.world)
-        states += [
-            State("hard iron", 3, max(IRON_SHARE, LEVEL_SHARE * turned) * norm), State("earth field", 2, 0.3 * norm),
-            State("motion offset", 3, offset * norm),
-        ]  # fmt: skip
+        states += _field_states(drive, field, at_rest=bool((~nodes.moving).any()))
+        north, of_reference = north_sigma(field, rotation.matrix(q[field.node]), drive.world.field_n)
+        north = 0.0 if places or "gps_velocity" in drive.log.fixes else north  # which show it
+        doubts += of_reference
     aids += _seen(nodes)
     for place in places:
         usual = float(np.nanmedian(place.sigma))
@@ -144,8 +144,19 @@ def assemble(
     prior = _prior(form, at, heading, NEAR_M + FAST_M_S * late if places else None)
     inertial = _inertial(drive, nodes, scaled="gyro scale" in form)
     return Problem(
-        form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive)
+        form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive), north
     )  # fmt: skip
+
+
+def _field_states(drive: Drive, field: Magnetometer, *, at_rest: bool) -> list[State]:
+    """Return the states of a magnetometer."""
+    norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
+    offset = OFFSET_SHARE if at_rest else OFFSET_SHARE_NO_REST
+    turned, _ = field_doubts(drive.log.fixes["magnetometer"], drive.log, drive.segmentation, drive.world)
+    return [
+        State("hard iron", 3, max(IRON_SHARE, LEVEL_SHARE * turned) * norm), State("earth field", 2, 0.3 * norm),
+        State("motion offset", 3, offset * norm),
+    ]  # fmt: skip
 
 
 def _headed(
