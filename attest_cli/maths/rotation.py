@@ -119,9 +119,9 @@ def log_quaternion(q: Array) -> Array:
 @in_cache
 def multiply(p: Array, q: Array) -> Array:
     """Return the Hamilton product ``p q``: ``R(p q) = R(p) R(q)``."""
-    if p.ndim != q.ndim == 2:  # one rotation before many, or after them: a matrix product
+    if p.ndim == 1 and q.ndim == 2:  # one rotation before many, or after them: a matrix product
         return q @ multiply(p, np.eye(4)[:, None])[:, 0]
-    if q.ndim != p.ndim == 2:
+    if q.ndim == 1 and p.ndim == 2:
         return p @ multiply(np.eye(4)[:, None], q)[:, 0]
     pw, px, py, pz = (p[..., i] for i in range(4))
     qw, qx, qy, qz = (q[..., i] for i in range(4))

@@ -175,3 +175,12 @@ def test_long_arrays_give_what_their_rows_give() -> None:
             assert np.allclose(whole[k], row[0], rtol=0, atol=1e-15), function.__name__
     stacked = rotation.matrix(p.reshape(1, n, 4))
     assert np.allclose(stacked[0], rotation.matrix(p), rtol=0, atol=1e-15)
+
+
+def test_products_broadcast_like_any_other(rng: np.random.Generator) -> None:
+    """Many trials of many attitudes against one of each."""
+    p = rotation.normalise(rng.normal(size=(3, 5, 4)))
+    q = rotation.normalise(rng.normal(size=(5, 4)))
+    each = np.stack([rotation.multiply(trial, q) for trial in p])
+    assert rotation.multiply(p, q) == pytest.approx(each)
+    assert rotation.multiply(q, p) == pytest.approx(np.stack([rotation.multiply(q, trial) for trial in p]))
