@@ -17,6 +17,8 @@ MOST = 500  # measurements that are asked
 FEW = 20
 CAP = 16.0  # squared sigmas that a measurement may miss by: outliers tell no lag
 SIGNIFICANT = 36.0  # drop of the misfit, in units of what it comes down to: six sigma
+STRETCHES, EXPLAINED, NOISE = 4, 0.5, 4.0  # of the log; of the misfit, and squared sigmas: what a lag may leave
+STEP_RAD, STEEP = 1e-4, 0.01  # of a slope by differences; least square of one that shows a turn
 LEAST_S = 0.03  # what is smaller changes nothing
 
 Residual = Callable[[Fixes, Array, World, Settings], tuple[Array, float]]
@@ -60,32 +62,63 @@ def _lag(smoothed: Smoothed, fixes: Fixes, world: World, settings: Settings, res
         return np.concatenate([_misfits(smoothed, fixes, world, settings, residual, part) for part in parts])
 
     coarse = np.arange(-most, most + STEP_S / 2, STEP_S)
-    best = float(coarse[int(np.argmin(misfits(coarse)))])
+    best = float(coarse[int(np.argmin(misfits(coarse).sum(axis=1)))])
     fine = best + np.arange(-STEP_S, STEP_S + FINE_S / 2, FINE_S)
-    *at_fine, unmoved = misfits(np.append(fine, 0.0)).tolist()
-    k = int(np.argmin(at_fine))
+    *at_fine, unmoved = misfits(np.append(fine, 0.0))
+    k = int(np.argmin(np.sum(at_fine, axis=1)))
     freedom = max(count * (1 if fixes.role == "compass" else 2), 1)
-    drop = (unmoved - at_fine[k]) / max(at_fine[k] / freedom, 1e-12)
-    certain = drop > SIGNIFICANT and abs(best) < most - STEP_S
+    certain = abs(best) < most - STEP_S and _explains(at_fine[k], unmoved, freedom)
     return round(float(fine[k]), 3) if certain else 0.0
+
+
+def _explains(late: Array, unmoved: Array, freedom: int) -> bool:
+    """Whether a lag explains misfits (k,) that were ``unmoved`` (k,): it takes off more than chance would, in more than
+    one stretch of the log, and what it leaves is noise, or a fraction.
+    """
+    left, before = float(late.sum()), float(unmoved.sum())
+    gains = np.array([float(part.sum()) for part in np.array_split(unmoved - late, STRETCHES)])
+    significant = before - left > SIGNIFICANT * max(left / freedom, 1e-12)
+    return significant and gains.sum() - gains.max() > 0.0 and left < max(EXPLAINED * before, NOISE * freedom)
 
 
 def _misfits(
     smoothed: Smoothed, fixes: Fixes, world: World, settings: Settings, residual: Residual, lags: Array
 ) -> Array:
-    """Return the sum of squared sigmas, capped, with each of the lags (l,) and the turn about the vertical for it."""
+    """Return the squared sigmas (l, k), capped, with each of the lags (l,) and the turn about the vertical for it."""
     at = _attitude(smoothed, fixes.t - lags[:, None])
-    r, sigma = residual(fixes, at, world, settings)
-    step, d = 1e-4, r.shape[-1]
-    turned = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, step])), at)
-    slope = (residual(fixes, turned, world, settings)[0] - r) / step
+    r, slope, sigma = _sloped(fixes, at, world, settings, residual)
+    at = rotation.multiply(rotation.exp_quaternion(_usual_turn(r, slope)[:, None, None] * [0.0, 0.0, 1.0]), at)
+    r, slope, sigma = _sloped(fixes, at, world, settings, residual)
+    d = r.shape[-1]
     for _ in range(3):  # the turn about the vertical, outliers capped
         use = np.sum(r**2, axis=-1) < CAP * sigma**2 * d
         used = slope * use[..., None]
         power, along = np.einsum("lkd,lkd->l", used, slope), np.einsum("lkd,lkd->l", used, r)
         turn = -np.divide(along, power, out=np.zeros(len(lags)), where=power > 0.0)
         r = r + slope * turn[:, None, None]
-    return np.asarray(np.sum(np.minimum(np.sum(r**2, axis=-1) / sigma**2, CAP * d), axis=1))
+    return np.asarray(np.minimum(np.sum(r**2, axis=-1) / sigma**2, CAP * d))
+
+
+def _sloped(
+    fixes: Fixes, at: Array, world: World, settings: Settings, residual: Residual
+) -> tuple[Array, Array, float]:  # fmt: skip
+    """Return the residuals (l, k, d) at attitudes (l, k, 4), what a turn about the vertical makes of them, per rad, and
+    their sigma.
+    """
+    r, sigma = residual(fixes, at, world, settings)
+    turned = rotation.multiply(rotation.exp_quaternion(np.array([0.0, 0.0, STEP_RAD])), at)
+    return r, (residual(fixes, turned, world, settings)[0] - r) / STEP_RAD, sigma
+
+
+def _usual_turn(r: Array, slope: Array) -> Array:
+    """Return the median (l,) of the turns about the vertical that each residual asks for: a heading that is far off as
+    a whole would make every measurement an outlier.
+    """
+    power = np.sum(slope**2, axis=-1)
+    asked = -np.sum(slope * r, axis=-1) / np.maximum(power, 1e-12)
+    middle = np.angle(np.mean(power * np.exp(1j * asked), axis=1, keepdims=True))
+    off = np.where(power > STEEP, rotation.wrap(asked - middle), np.nan)
+    return np.asarray(middle[:, 0] + np.nan_to_num(np.nanmedian(off, axis=1)))
 
 
 def _attitude(smoothed: Smoothed, t: Array) -> Array:

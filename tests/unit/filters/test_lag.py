@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.drives import Job, simulated
 
+from attest_cli.filters import lag
 from attest_cli.filters.lag import find_lags
 from attest_cli.maths import rotation
 from attest_cli.records import Fixes, Log, Smoothed
@@ -45,14 +46,14 @@ def test_sensors_in_time_have_no_lag(job: Job) -> None:
     assert find_lags(late(job), smoothed(job, 5.0), job.world, job.settings) == {}
 
 
-@pytest.mark.parametrize("lag", [-3.0, -0.3, 0.4, 5.0])
+@pytest.mark.parametrize("tau", [-3.0, -0.3, 0.4, 5.0])
 @pytest.mark.parametrize("role", ["sun", "compass", "orientation"])
-def test_a_lag_is_found_whatever_the_heading(role: str, lag: float, job: Job) -> None:
-    found = find_lags(late(job, **{role: lag}), smoothed(job, 3.0), job.world, job.settings)
-    if role == "compass" and abs(lag) < 1.0 and not found:
+def test_a_lag_is_found_whatever_the_heading(role: str, tau: float, job: Job) -> None:
+    found = find_lags(late(job, **{role: tau}), smoothed(job, 3.0), job.world, job.settings)
+    if role == "compass" and abs(tau) < 1.0 and not found:
         return  # three degrees of noise hide it
     assert found.keys() == {role}
-    assert found[role] == pytest.approx(lag, abs=0.5 if role == "compass" else 0.05)
+    assert found[role] == pytest.approx(tau, abs=0.5 if role == "compass" else 0.05)
 
 
 def test_outliers_make_no_lag(job: Job) -> None:
@@ -67,3 +68,19 @@ def test_few_measurements_tell_nothing(job: Job) -> None:
     log = late(job, sun=1.0)
     few = {role: replace(f, t=f.t[:15], values=f.values[:15]) for role, f in log.fixes.items()}
     assert find_lags(replace(log, fixes=few), smoothed(job), job.world, Settings()) == {}
+
+
+def test_a_heading_that_is_far_off_as_a_whole_makes_no_lag(job: Job) -> None:
+    """As where the compass was disturbed at the first stop, from which the attitude has its heading."""
+    assert find_lags(late(job), smoothed(job, 35.0), job.world, job.settings) == {}
+    found = find_lags(late(job, compass=4.0), smoothed(job, -170.0), job.world, job.settings)
+    assert found["compass"] == pytest.approx(4.0, abs=0.5)
+
+
+def test_what_only_one_stretch_shows_is_no_lag() -> None:
+    before, late = np.full(80, 4.0), np.full(80, 4.0)
+    late[:20] = 0.5
+    assert not lag._explains(late, before, 80)
+    late[40:60] = 0.5
+    assert lag._explains(late, before, 80)
+    assert not lag._explains(np.full(80, 12.0), np.full(80, 16.0), 80)
