@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import AttestError
-from ..records import Array, Bools, Fixes
+from ..records import Array, Bools, Fixes, Imu, Segment, Warn
 from .stillness import CHI2_3, stretches
 
 STILL_M_S = 0.02  # wheels slower than this are not surely turning, however good the odometry
+MOVES_RAD, MOVES_S, SHOWN = np.radians(2.0), 20.0, 3  # a hand-made edge is a little off; at a time; stops told
 ODOMETRY_WINDOW_S, ODOMETRY_LAG_S = 2.0, 0.5
 
 
@@ -53,6 +55,34 @@ def inside_stops(t: Array, stops: list[tuple[float, float]]) -> Bools:
     for start, end in stops:
         still[np.searchsorted(t, start) : np.searchsorted(t, end, side="right")] = True
     return still
+
+
+def stops_that_move(imu: Imu, segments: Sequence[Segment]) -> tuple[Warn, ...]:
+    """Say which of the stops given by hand turn, by the integral of the gyro about its own usual rate there: a bias,
+    or an engine that shakes, turns nothing.
+    """
+    told, stops = list[str](), [s for s in segments if not s.motion]
+    for s in stops:
+        angle = _turn(imu, np.append(np.arange(s.used_start, s.used_end, MOVES_S), s.used_end))
+        if angle > MOVES_RAD:
+            told.append(f"{s.start:.1f} to {s.end:.1f} s (by {np.degrees(angle):.0f} deg)")
+    if not told:
+        return ()
+    more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
+    fact = f"{len(told)} of the {len(stops)} stops given by hand turn: {', '.join(told[:SHOWN])}{more}"
+    return (Warn("stop-moves", fact, "mend the file of --stops: are its times seconds of this log?", fatal=True),)
+
+
+def _turn(imu: Imu, edges: Array) -> float:
+    """Return the largest turn, rad, between two edges (k,) s, in which a bias hardly walks."""
+    worst = 0.0
+    for lo, hi in itertools.pairwise(np.searchsorted(imu.t, edges).tolist()):
+        if hi - lo < 3:
+            continue
+        rate = imu.gyro_b[lo:hi] - np.median(imu.gyro_b[lo:hi], axis=0)
+        turned = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.t[lo:hi])[:, None], axis=0)
+        worst = max(worst, float(np.linalg.norm(np.ptp(turned, axis=0))))
+    return worst
 
 
 def read_stops(path: Path, begin: float, end: float) -> list[tuple[float, float]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..records import Array, Bools, Ints, Log, Segment, Segmentation, Warn
 from ..settings import Settings
-from .aids import inside_stops, read_stops, wheels_turn
+from .aids import inside_stops, read_stops, stops_that_move, wheels_turn
 from .stillness import (
     BIAS_WALK,
     GYRO_DRIFT,
@@ -90,7 +90,7 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         bias_b=still.astype(float) @ imu.gyro_b / np.count_nonzero(still) if still.any() else np.zeros(3),
         margin=margin,
         source="file" if stops.file is not None else "odometry" if turning.any() else "imu",
-        warnings=told if stops.file is None else (),
+        warnings=told if stops.file is None else stops_that_move(imu, segments),
     )
 
 

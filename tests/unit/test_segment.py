@@ -220,6 +220,19 @@ def test_stops_given_by_hand_override_the_detector(tmp_path: Path) -> None:
     assert_covers(found, log)
 
 
+def test_a_stop_given_by_hand_that_turns_is_told(tmp_path: Path) -> None:
+    _, log, settings = drive(208)
+    true = edges_of(find_segments(log, settings))
+    path = tmp_path / "stops.csv"
+    late = true[1] + 0.5 * (true[2, 0] - true[1, 1])  # in the midst of a motion
+    path.write_text("start_s,end_s\n" + "".join(f"{a},{b}\n" for a, b in (true[0], late, true[2])))
+    told = find_segments(log, with_stops(settings, file=path)).warnings
+    assert [(w.code, w.fatal) for w in told] == [("stop-moves", True)]
+    assert told[0].message.startswith("1 of the 3 stops given by hand turn")
+    path.write_text("start_s,end_s\n" + "".join(f"{a - 0.2},{b + 0.2}\n" for a, b in true[1:-1]))
+    assert find_segments(log, with_stops(settings, file=path)).warnings == ()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
