@@ -12,12 +12,14 @@ from ..records import Array, Bools, Ints, Log, Segment, Segmentation, Warn
 from ..settings import Settings
 from .aids import inside_stops, read_stops, stops_that_move, wheels_turn
 from .stillness import (
+    ACCEL_DRIFT,
     BIAS_WALK,
     GYRO_DRIFT,
     LONE_STOP_S,
     Quiet,
     Thresholds,
     agreeing,
+    at_rest,
     gap_edges,
     hysteresis,
     quiet_intervals,
@@ -29,6 +31,7 @@ from .stillness import (
 )
 
 FAST = 20.0  # times the largest bias that is believed: where nothing else is quiet, it is asked about
+JUMP = math.radians(0.5)  # rad/s: a bias that jumps by more leaves the motion before it too wide open
 RARE = 0.1  # share of the log below which stops are doubted when the noise is not stated
 
 
@@ -66,6 +69,7 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
     found = quiet_intervals(windows, sigmas, limits.enter, turning, settings)
     walk = 3.0 * (settings.imu.gyro_random_walk or BIAS_WALK)
     quiet = agreeing(found, sigmas[0] ** 2 / windows.width + GYRO_DRIFT**2, walk)
+    agreed, quiet = quiet, at_rest(found, quiet, math.hypot(sigmas[1] / math.sqrt(windows.width), ACCEL_DRIFT))
     by_hop = stop_statistic(windows, sigmas, limits, quiet, walk)
     statistic = np.repeat(by_hop.astype(np.float32), np.diff(windows.first))
     if stops.file is not None:
@@ -79,7 +83,7 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         still[:] = False  # the noise was taken from the motion itself, of which these are the calmest moments
         margin = math.nan
     segments = as_segments(still, imu.t, edges, stops.window_s / 2)
-    told = doubts(still, limits, margin, found, quiet)
+    told = doubts(still, limits, margin, found, quiet) + jumps(agreed, quiet)
     if not found.start.size:
         told += fast(quiet_intervals(windows, sigmas, limits.enter, turning, settings, FAST))
     return Segmentation(
@@ -103,6 +107,22 @@ def fast(wide: Quiet) -> tuple[Warn, ...]:
     rate, span = np.degrees(np.linalg.norm(wide.rate[k])), f"from {wide.start[k]:.0f} to {wide.end[k]:.0f} s"
     message = f"{span} nothing changes but the gyro reads {rate:.1f} deg/s: a bias beyond imu.gyro_bias_sigma?"
     return (Warn("gyro-bias", message, "state imu.gyro_bias_sigma as large as the bias may be"),)
+
+
+def jumps(agreed: Quiet, quiet: Quiet) -> tuple[Warn, ...]:
+    """Say by how much the gyro's bias jumps, where a rest that gravity proves has another."""
+    lone = np.flatnonzero(~np.isin(quiet.start, agreed.start))
+    if not lone.size:
+        return ()
+    known = 0.5 * (agreed.start + agreed.end)
+    when = 0.5 * (quiet.start + quiet.end)[lone]
+    usual = np.stack([np.interp(when, known, agreed.rate[:, i]) for i in range(3)], axis=1)
+    off = np.linalg.norm(quiet.rate[lone] - usual, axis=1)
+    message = (
+        f"the gyro's bias jumps: by {np.degrees(off.max()):.2g} deg/s at the rest from {quiet.start[lone[0]]:.0f} s"
+    )
+    hint = "when it jumps is not known: in the motion before, the attitude is less certain than its sigma"
+    return (Warn("gyro-bias", message, hint, fatal=bool(off.max() > JUMP)),)
 
 
 def margin_of(statistic: NDArray[np.float32], still: Bools, enter: float) -> float:

@@ -21,6 +21,7 @@ BLOCK_HOPS = 1 << 13  # handled together: their samples stay in cache
 GYRO_DRIFT, ACCEL_DRIFT = 5e-5, 1e-3  # rad/s, m/s^2: how far means of a still sensor wander beyond white noise
 ACCEL_WALK = 3e-4  # m/s^2/sqrt(s): the same over a longer stop
 LONE_STOP_S = 4.0  # a bias that a single quiet interval supports needs one this long
+GRAVITY_MOVES = 30.0  # times the noise of a block: a turn that gravity cannot hide
 BIAS_WALK = 1e-5  # rad/s^2/sqrt(Hz): walk of the gyro's bias between stops where it is not stated
 CHI2_3 = upper_quantile(3, FALSE_ALARM)
 CHI2_6 = upper_quantile(6, FALSE_ALARM)
@@ -47,12 +48,19 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Intervals in which nothing changes: ``start``, ``end`` (k,) s, mean rate (k, 3), ``blocks`` (k,) in each."""
+    """Intervals in which nothing changes: ``start``, ``end`` (k,) s, mean rate and specific force (k, 3), ``blocks``
+    (k,) in each.
+    """
 
     start: Array
     end: Array
     rate: Array
+    force: Array
     blocks: Array
+
+    def some(self, which: Ints | Bools) -> Quiet:
+        """Return some of them."""
+        return Quiet(self.start[which], self.end[which], self.rate[which], self.force[which], self.blocks[which])
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +204,7 @@ def quiet_intervals(
         start=windows.t[blocks[bounds[:, 0]]] - half,
         end=windows.t[blocks[bounds[:, 1]]] + half,
         rate=np.array([rate[a : b + 1].mean(axis=0) for a, b in bounds]).reshape(-1, 3),
+        force=np.array([force[a : b + 1].mean(axis=0) for a, b in bounds]).reshape(-1, 3),
         blocks=(bounds[:, 1] - bounds[:, 0] + 1).astype(float),
     )
 
@@ -229,7 +238,19 @@ def agreeing(quiet: Quiet, variance: float, walk: float, most: int = 1000) -> Qu
             member.insert(place, int(k))
     if len(member) == 1 and end[member[0]] - start[member[0]] < LONE_STOP_S:
         member = []
-    return Quiet(start[member], end[member], rate[member], blocks[member])
+    return quiet.some(keep[member])
+
+
+def at_rest(found: Quiet, agreed: Quiet, noise: float) -> Quiet:
+    """The intervals that have ``agreed`` on a bias, and those of another rate that cannot be a turn: about a level axis
+    it would have moved gravity. ``noise`` (m/s^2) of a block.
+    """
+    if not agreed.start.size:
+        return agreed
+    middle, known = (0.5 * (q.start + q.end) for q in (found, agreed))
+    bias = np.stack([np.interp(middle, known, agreed.rate[:, i]) for i in range(3)], axis=1)
+    moved = np.linalg.norm(np.cross(found.rate - bias, found.force), axis=1) * (found.end - found.start)
+    return found.some(np.isin(found.start, agreed.start) | (moved > GRAVITY_MOVES * noise))
 
 
 def stop_statistic(

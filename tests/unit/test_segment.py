@@ -184,6 +184,19 @@ def test_a_stop_after_the_bias_has_moved_is_said() -> None:
     assert "stop-bias" in [w.code for w in moved.warnings]
 
 
+@pytest.mark.parametrize(("step", "fatal"), [(0.005, False), (0.02, True)])
+def test_a_bias_that_jumps_about_a_level_axis_is_a_rest_by_gravity(step: float, fatal: bool) -> None:
+    """Such a turn would have tilted gravity: it is no motion, however short the rest."""
+    t = np.arange(0.0, 60.0, 0.01)
+    driving = np.where((t > 20.0) & (t < 35.0) | (t > 40.0) & (t < 55.0), 0.2 * np.sin(2.0 * t), 0.0)
+    log = still_log(60.0, rate_b=driving)
+    log.imu.gyro_b[:, 0] += step * (t > 28.0)
+    found = find_segments(log, Settings())
+    assert [round(s.start) for s in found.stops] == [0, 36, 55]
+    assert [(w.code, w.fatal) for w in found.warnings] == [("gyro-bias", fatal)]
+    assert f"by {np.degrees(step):.2g} deg/s" in found.warnings[0].message
+
+
 def test_gap_splits_segments() -> None:
     simulation, log, settings = drive(207)
     middle = simulation.stops[1].mean()
