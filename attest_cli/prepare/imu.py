@@ -12,7 +12,7 @@ from ..errors import AttestError
 from ..maths import rotation
 from ..records import COLUMNS, Array, Bools, Channel, Imu, Ints, Warn
 from ..settings import Settings
-from . import axes, clipping, held, interleaved, lost, stuck, units
+from . import axes, clipping, halves, held, interleaved, lost, stuck, units
 from .clock import STEP_BACK_NS, gaps, in_order, seconds
 from .epochs import HOUR_S, SET_NS, whole_hours
 from .jitter import jittered
@@ -95,6 +95,8 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         stamps_ns, gyro, accel = stamps_ns[~absurd], gyro[~absurd], accel[~absurd]
         _enough(files, stamps_ns)
     warnings += axes.doubts(f"channel {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel)
+    if len(parts) > 1:
+        warnings += halves.doubts((parts[0].name, parts[1].name), seconds(stamps_ns, t0_ns), gyro, accel)
     holes_ns = gaps(stamps_ns, settings.time.max_gap_s)
     if holes_ns.size:
         warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns), float(np.median(np.diff(stamps_ns))) * 1e-9))

@@ -14,13 +14,14 @@ import numpy as np
 
 from ...maths import rotation
 from ...maths.consistency import upper_quantile
-from ...records import Array, Imu, Warn
+from ...records import Array, Log, Warn
 from .. import Drive, scale
 from . import solve
 from .problem import Problem
 from .rounds import Navigated
 
 STATES = "gyro scale"
+LATE = "accel-late"  # code of a warning
 SHOWS = 0.05  # of its prior variance: what the drive must take off a combination of states for it to count
 SURE = 1e-4  # chance of a misfit taken as proof
 WIDE, LARGEST = 0.15, 0.3  # sigma with which the errors are looked for; larger ones are another fault
@@ -32,16 +33,17 @@ HINT = "calibrate its scale and axes; what the drive shows of them was taken out
 TURNED_HINT = "if the accelerometer is the one that is turned, tilt is off by as much: calibrate their axes"
 
 
-def contradicted(imu: Imu, problem: Problem, found: solve.Solution) -> bool:
-    r"""Whether the gyro's errors are beyond what is assumed of them, and no samples that it clipped explain that:
+def contradicted(log: Log, problem: Problem, found: solve.Solution) -> bool:
+    r"""Whether the gyro's errors are beyond what is assumed of them, and neither samples that it clipped nor its clock
+    explain that:
 
     .. math:: \hat x^T(P_0-P)^{-1}\hat x
 
     is chi-square where they are not, for :math:`\hat x` is what the innovations have of the states, of covariance
     :math:`P_0-P`. Combinations of them that the drive does not show are left out.
     """
-    clipped = imu.gyro_clipped is not None and float(np.mean(imu.gyro_clipped > 0.0)) > OFTEN
-    if STATES not in problem.layout or clipped:
+    clipped = log.imu.gyro_clipped is not None and float(np.mean(log.imu.gyro_clipped > 0.0)) > OFTEN
+    if STATES not in problem.layout or clipped or any(warn.code == LATE for warn in log.warnings):
         return False
     part = problem.layout.parts[STATES]
     P0, P = problem.prior[1][part, part], found.errors.P[0, part, part]

@@ -1,57 +1,46 @@
-"""Halves of an IMU: what one lacks at an end is lost; a second IMU in other files is told; short holes cost sigma."""
+"""A delay between gyro and accelerometer of different channels, by the edges of their rests."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from attest_cli.prepare import prepare
-from attest_cli.records import COLUMNS, Channel, Log, Recording
-from attest_cli.settings import Settings
+from attest_cli.prepare.halves import doubts
 
-N = 3000
-UNITS = dict(zip(COLUMNS["imu"], ["rad/s"] * 3 + ["m/s^2"] * 3, strict=True))
-
-
-def channel(role: str, rows: slice = slice(None), keep: np.ndarray | None = None) -> Channel:
-    table = np.random.default_rng(1).normal([0, 0, 0, 0, 0, 9.81], [0.01] * 3 + [0.3] * 3, (N, 6))
-    index = np.arange(N)[rows] if keep is None else np.flatnonzero(keep)
-    values = {name: table[index, COLUMNS["imu"].index(name)] for name in COLUMNS[role]}
-    return Channel(role, "columns", role, index * 10_000_000, values, {name: UNITS[name] for name in values})
+Array = NDArray[np.float64]
+NAMES = ("gyro.csv", "accel.csv")
 
 
-def log_of(*channels: Channel) -> Log:
-    found = [Recording(Path(f"{i}.csv"), "csv", (c,), c.stamps_ns.size) for i, c in enumerate(channels)]
-    return prepare(found, Settings())
+def shaken(t: Array, lead: float = 0.0) -> Array:
+    """Noise of a sensor at ``t`` that shakes in three motions; ``lead``: what it does before and after them."""
+    rng = np.random.default_rng(3)
+    moving = np.zeros(len(t), dtype=bool)
+    for a, b in ((8.0, 20.0), (28.0, 41.0), (50.0, 63.0)):
+        moving |= (t > a - lead) & (t < b + lead)
+    return rng.normal(0.0, 1.0, (len(t), 3)) * np.where(moving, 0.2, 0.01)[:, None]
 
 
-@pytest.mark.parametrize(("gyro", "accel", "lost_s"), [
-    (slice(None), slice(0, 1500), "15.00 s of gyro"), (slice(None), slice(600, None), "6.00 s of gyro"),
-    (slice(0, 1000), slice(None), "20.00 s of accel"), (slice(0, 2995), slice(5, None), ""),
-])  # fmt: skip
-def test_an_end_that_one_half_lacks_is_lost(gyro: slice, accel: slice, lost_s: str) -> None:
-    told = [w for w in log_of(channel("gyro", gyro), channel("accel", accel)).warnings if w.code == "imu-half-missing"]
-    assert [w.lost for w in told] == ([True] if lost_s else [])
-    assert all(w.message.startswith(lost_s) for w in told)
+@pytest.mark.parametrize("delay", [0.3, -0.5, 1.2])
+def test_a_delay_is_found(delay: float) -> None:
+    t = np.arange(0.0, 70.0, 0.01)
+    told = doubts(NAMES, t, shaken(t), shaken(t - delay))
+    assert [w.fatal for w in told] == [True]
+    word = "late" if delay > 0 else "early"
+    assert f" s {word} against gyro.csv" in told[0].message
+    assert float(told[0].message.split(" is ")[1].split(" ")[0]) == pytest.approx(abs(delay), abs=0.06)
 
 
-def test_a_second_imu_in_halves_is_told() -> None:
-    log = log_of(channel("gyro"), channel("accel"), channel("imu"))
-    (told,) = (w for w in log.warnings if w.code == "several-channels")
-    assert told.message == "2 IMUs: imu (3000 rows), gyro (3000 rows) with accel (3000 rows); imu is used"
-    log = log_of(channel("gyro"), channel("imu"))
-    assert [w.message for w in log.warnings] == ["2 gyros: imu (3000 rows), gyro (3000 rows); imu is used"]
-    assert not log_of(channel("imu")).warnings
-    assert not log_of(channel("gyro"), channel("accel")).warnings
+def test_one_clock_is_left_alone() -> None:
+    t = np.arange(0.0, 70.0, 0.01)
+    assert doubts(NAMES, t, shaken(t), shaken(t)) == []
 
 
-def test_the_force_beside_a_short_hole_is_less_known() -> None:
-    keep = np.ones(N, dtype=bool)
-    keep[1000:1040] = False
-    log = log_of(channel("imu", keep=keep))
-    assert log.imu.accel_clipped is not None
-    assert np.flatnonzero(log.imu.accel_clipped).tolist() == [999, 1000]
-    assert log.imu.accel_clipped.max() == pytest.approx(0.3 * np.sqrt(0.41 / 2), rel=0.2)  # the mean of its two ends
-    assert log_of(channel("imu")).imu.accel_clipped is None
+def test_a_vehicle_that_pulls_away_before_it_turns_has_no_delay() -> None:
+    t = np.arange(0.0, 70.0, 0.01)
+    assert doubts(NAMES, t, shaken(t), shaken(t, lead=0.6)) == []
+
+
+def test_without_rests_nothing_is_told() -> None:
+    t = np.arange(0.0, 70.0, 0.01)
+    assert doubts(NAMES, t, shaken(t), np.random.default_rng(1).normal(0.0, 1.0, (len(t), 3))) == []
