@@ -21,6 +21,7 @@ from .nodes.noise import CALIBRATION, contradictions, find_noise
 from .nodes.observations import observe
 from .position import Position
 from .prepare import choose, prepare
+from .prepare.axes import foremost
 from .prepare.groups import files_used, whole_logs
 from .readers import read as read_file
 from .readers.result import read_result
@@ -130,7 +131,7 @@ def _assemble(
     as_it_is = np.array_equal(vehicle.q_bv, IDENTITY) and not vehicle.sigma.any()
     turned = passes if as_it_is else {name: p.turned(vehicle.q_bv, vehicle.sigma) for name, p in passes.items()}
     log = _without_signals(log)  # of the IMU nothing but its times is told
-    told = (*log.warnings, *segmentation.warnings, *est.warnings, *warnings)
+    told = foremost((*log.warnings, *segmentation.warnings, *est.warnings, *warnings))
     run = Run(
         tuple(paths), recordings, log, effective, segmentation, est, turned,
         assess.separation(passes["forward"], passes["backward"]), place, vehicle.told, rows, advice, told,

@@ -5,6 +5,7 @@ Gravity shows turns about level axes only: of a gyro's turns about the vertical 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ SCALED = 0.6  # share of the turning of gravity that another scale must explain
 WINDOWS_S = (0.5, 0.15)  # for what drives, and for what is waved about
 MOST, LONGEST_S = 4000, 1800.0  # turns of a log; of it that a field is compared over
 FEW = 12  # turns that show nothing
+ACCEL, FIELD = "gyro-against-accel", "gyro-against-field"  # codes of warnings
 NEAR = 1e-6  # of what is seen: misfits nearer to the least are worked out turn by turn
 HINT = "[imu] mounting cannot mend one of the two: put signs and order right in the driver, or with --columns"
 
@@ -52,13 +54,24 @@ def doubts(name: str, t: Array, gyro: Array, accel: Array) -> list[Warn]:
     same, best, total = compared
     if best is not same:
         message = f"{name}: gyro and accelerometer do not turn together: {in_words(best.axes)}"
-        return [Warn("gyro-against-accel", message, HINT, fatal=True)]
+        return [Warn(ACCEL, message, HINT, fatal=True)]
     explained = 1.0 - float(same.misfit.sum()) / total
     if explained > SCALED and not FAR_SCALES[0] < same.scale < FAR_SCALES[1]:
         message = f"{name}: gravity turns {same.scale:.2g} times as far as the gyro says"
         hint = "check the unit of the gyro, and the unit and rate of the clock"
         return [Warn("gyro-scale", message, hint, fatal=True)]
     return []
+
+
+def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
+    """Return what is told without what another fault of axes explains: of two readings of gyro against accelerometer
+    the last, which a whole motion shows; the field's, where that blames the gyro; and noise that comes of it.
+    """
+    mine = [warn for warn in told if warn.code == ACCEL and warn.fatal]
+    if not mine:
+        return tuple(told)
+    explained = {FIELD, "gyro-noise-raised"} if "the gyro" in mine[-1].message else {"gyro-noise-raised"}
+    return tuple(w for w in told if w is mine[-1] or (w.code not in explained and w not in mine))
 
 
 def of_field(field: Fixes, imu: Imu) -> list[Warn]:
@@ -74,7 +87,7 @@ def of_field(field: Fixes, imu: Imu) -> list[Warn]:
     names = axes_in_words(compared[1].axes.T)
     message = f"{field.channel}: magnetometer and gyro do not turn together: they would, were its x, y, z its {names}"
     hint = "or all three the other way round: put them right in the driver, or with --columns"
-    return [Warn("gyro-against-field", message, hint, fatal=True)]
+    return [Warn(FIELD, message, hint, fatal=True)]
 
 
 def _compared(t: Array, gyro: Array, vector: Array) -> tuple[Fit, Fit, float] | None:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from attest_cli.maths import rotation
 from attest_cli.maths.axes import signed_permutations
-from attest_cli.prepare.axes import doubts, of_field
-from attest_cli.records import Fixes, Imu
+from attest_cli.prepare.axes import doubts, foremost, of_field
+from attest_cli.records import Fixes, Imu, Warn
 
 Array = NDArray[np.float64]
 
@@ -60,3 +60,15 @@ def test_a_magnetometer_with_other_axes_is_told(axes: Array, rng: np.random.Gene
         assert told == []
     else:
         assert [(warn.code, warn.fatal) for warn in told] == [("gyro-against-field", True)]
+
+
+def test_of_two_readings_of_one_fault_the_one_that_explains_is_kept() -> None:
+    early = Warn(
+        "gyro-against-accel", "do not turn together: were the accelerometer's x, y, z its x, -y, z", fatal=True
+    )
+    late = Warn("gyro-against-accel", "contradict each other: were the gyro's x, y, z its -x, y, z", fatal=True)
+    field = Warn("gyro-against-field", "magnetometer and gyro do not turn together", fatal=True)
+    noise, other = Warn("gyro-noise-raised", "drifts 29 times its noise", fatal=True), Warn("gap", "a gap")
+    assert foremost((early, field, other, noise, late)) == (other, late)
+    assert foremost((late, field, other, noise, early)) == (field, other, early)
+    assert foremost((field, noise, other)) == (field, noise, other)
