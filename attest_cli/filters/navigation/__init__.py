@@ -53,7 +53,7 @@ def _with_own_axes(drive: Drive) -> tuple[Navigated, tuple[Warn, ...]]:
     what is assumed of them, and they leave less to explain.
     """
     done = navigate(drive)
-    if not axes.contradicted(drive.log, done.problem, done.found):
+    if not axes.contradicted(drive.log, done):
         return done, ()
     better = axes.mended(drive, navigate(axes.widened(drive, axes.WIDE)))
     again = navigate(better[0]) if better is not None else done

@@ -17,11 +17,10 @@ from ...maths.consistency import upper_quantile
 from ...records import Array, Log, Warn
 from .. import Drive, scale
 from . import solve
-from .problem import Problem
 from .rounds import Navigated
 
 STATES = "gyro scale"
-LATE = "accel-late"  # code of a warning
+LATE, OPENS = "accel-late", {"gyro-noise-raised", "gyro-scale"}  # codes of warnings
 SHOWS = 0.05  # of its prior variance: what the drive must take off a combination of states for it to count
 SURE = 1e-4  # chance of a misfit taken as proof
 WIDE, LARGEST = 0.15, 0.3  # sigma with which the errors are looked for; larger ones are another fault
@@ -33,18 +32,22 @@ HINT = "calibrate its scale and axes; what the drive shows of them was taken out
 TURNED_HINT = "if the accelerometer is the one that is turned, tilt is off by as much: calibrate their axes"
 
 
-def contradicted(log: Log, problem: Problem, found: solve.Solution) -> bool:
+def contradicted(log: Log, done: Navigated) -> bool:
     r"""Whether the gyro's errors are beyond what is assumed of them, and neither samples that it clipped nor its clock
     explain that:
 
     .. math:: \hat x^T(P_0-P)^{-1}\hat x
 
     is chi-square where they are not, for :math:`\hat x` is what the innovations have of the states, of covariance
-    :math:`P_0-P`. Combinations of them that the drive does not show are left out.
+    :math:`P_0-P`. Combinations of them that the drive does not show are left out. Where stated noise leaves no states
+    for them, the stops are asked.
     """
+    problem, found = done.problem, done.found
     clipped = log.imu.gyro_clipped is not None and float(np.mean(log.imu.gyro_clipped > 0.0)) > OFTEN
-    if STATES not in problem.layout or clipped or any(warn.code == LATE for warn in log.warnings):
+    if clipped or any(warn.code == LATE for warn in log.warnings):
         return False
+    if STATES not in problem.layout:
+        return any(warn.code in OPENS for warn in done.begun.warnings)
     part = problem.layout.parts[STATES]
     P0, P = problem.prior[1][part, part], found.errors.P[0, part, part]
     root = np.sqrt(np.diag(P0))
