@@ -110,7 +110,7 @@ STAMPS: dict[str, Fault] = {
     "zero stamps in some rows": Fault(
         "bare", ("steps back", "zero"), stamps(lambda t, ns: np.where((t > 30) & (t < 31), 0, ns))),
     "one row from the future": Fault(
-        "bare", ("steps back", "ahead"), stamps(lambda t, ns: ns + (np.arange(len(t)) == 1500) * 400 * S)),
+        "bare", ("rows-without-time",), stamps(lambda t, ns: ns + (np.arange(len(t)) == 1500) * 400 * S)),
     "time runs ten times too slow": Fault(
         "bare", ("clock-rate", "time-scale", "gyro-scale"),
         stamps(lambda _, ns: ns[0] + (ns - ns[0]) // 10)),
