@@ -117,8 +117,9 @@ def _usual_turn(r: Array, slope: Array) -> Array:
     power = np.sum(slope**2, axis=-1)
     asked = -np.sum(slope * r, axis=-1) / np.maximum(power, 1e-12)
     middle = np.angle(np.mean(power * np.exp(1j * asked), axis=1, keepdims=True))
-    off = np.where(power > STEEP, rotation.wrap(asked - middle), np.nan)
-    return np.asarray(middle[:, 0] + np.nan_to_num(np.nanmedian(off, axis=1)))
+    steep = power > STEEP
+    nothing = np.where(steep.any(axis=1, keepdims=True), np.nan, 0.0)  # the sun stands overhead
+    return np.asarray(middle[:, 0] + np.nanmedian(np.where(steep, rotation.wrap(asked - middle), nothing), axis=1))
 
 
 def _attitude(smoothed: Smoothed, t: Array) -> Array:
