@@ -9,6 +9,7 @@ from ..records import Array
 
 BLOCK, LEAST_BLOCKS = 10, 40  # rows; blocks that tell
 WINDOW = 20  # blocks in which no row is lost, that would change the order
+ASKED = 250  # windows, all along the log
 EXPLAINED, PASSES = 0.5, 4  # share of the alternation; of its sign in windows
 TURNED = 0.02  # as much of the signal alternates: axes turned by 2 deg
 OPPOSITE, ALWAYS = 0.25, 0.95  # of gravity; share of the blocks
@@ -28,16 +29,15 @@ def refuse(name: str, table: Array) -> None:
     AttestError
         If the alternation is that of two devices.
     """
-    blocks = (len(table) - 2) // BLOCK
-    if blocks < LEAST_BLOCKS:
+    windows = (len(table) - 2) // (BLOCK * WINDOW)
+    if windows * WINDOW < LEAST_BLOCKS:
         return
-    rows = slice(1, blocks * BLOCK + 1)
-    sign = np.where(np.arange(blocks * BLOCK) % 2 == 0, 0.5, -0.5)[:, None]
-    apart, middle = np.empty((2, blocks, 6))
-    for k, x in enumerate(table.T):  # all at once would be several copies of a long log
-        beside = 0.5 * (x[:-2] + x[2:])[: blocks * BLOCK]
-        apart[:, k] = np.median((sign[:, 0] * (x[rows] - beside)).reshape(blocks, BLOCK), axis=1)
-        middle[:, k] = np.median(x[rows].reshape(blocks, BLOCK), axis=1)
+    asked = np.unique(np.linspace(0, windows - 1, min(windows, ASKED)).astype(np.int64))
+    rows = (asked[:, None] * BLOCK * WINDOW + np.arange(1, BLOCK * WINDOW + 1)).reshape(-1, BLOCK)  # (blocks, BLOCK)
+    sign = np.where(np.arange(BLOCK) % 2 == 0, 0.5, -0.5)[:, None]
+    x = table[rows]
+    apart = np.median(sign * (x - 0.5 * (table[rows - 1] + table[rows + 1])), axis=1)
+    middle = np.median(x, axis=1)
     force = np.linalg.norm(apart[:, 3:], axis=1)
     gravity = float(np.median(np.hypot(force, np.linalg.norm(middle[:, 3:], axis=1))))
     if _in_proportion(middle, apart) or (gravity > 0.0 and np.mean(force > OPPOSITE * gravity) > ALWAYS):
