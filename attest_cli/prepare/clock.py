@@ -141,14 +141,13 @@ def _refuse_coarse(name: str, stamps_ns: Ints, shared: float = SHARED) -> None:
 def _not_repeated(stamps_ns: Ints, values: Array, rows: Ints) -> Bools:
     """Tell which of the ``rows``, in stamp order, differ from all others of the same stamp."""
     keep, stamps = np.ones(rows.size, dtype=bool), stamps_ns[rows]
-    shared = np.flatnonzero(np.diff(stamps) == 0)
-    for row in shared + 1:
-        other = row - 1
-        while other >= 0 and stamps[other] == stamps[row]:
-            if keep[other] and np.array_equal(values[rows[other]], values[rows[row]], equal_nan=True):
-                keep[row] = False
-                break
-            other -= 1
+    same = np.append(np.diff(stamps) == 0, np.False_)
+    shared = np.flatnonzero(same | np.append(np.False_, same[:-1]))
+    if shared.size:
+        table = np.ascontiguousarray(values[rows[shared]] + 0.0)  # of two zeros the sign does not count
+        bits = np.column_stack([stamps[shared], table.view(np.int64)])
+        _, first = np.unique(bits.view(np.dtype((np.void, bits.shape[1] * bits.itemsize))), return_index=True)
+        keep[np.delete(shared, first)] = False
     return keep
 
 
