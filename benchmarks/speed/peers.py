@@ -154,7 +154,7 @@ def page(rows: Sequence[Row], whole: Whole, spent: Spent, started: Sequence[tupl
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     head = f"""# Speed
 
-`python benchmarks/speed/peers.py` makes this page ({machine}; CPU time, user + system,
+`python benchmarks/speed/peers.py{" --long" * bool(long)}` makes this page ({machine}; CPU time, user + system,
 the least of the runs; ratios below 1.3 are undecided). The log: `attest simulate rover`, {RATE_HZ} Hz IMU,
 {SENSORS.replace(",", ", ")}; ROS 2 MCAP in zstd. (A log whose gyro looks out of scale is filtered twice: 0.2 s an hour
 more.) Smoothers get arrays, and only their own work counts; attest's is
