@@ -127,15 +127,15 @@ class Recording:
 @dataclass(frozen=True, slots=True)
 class Imu:
     """IMU samples: ``t`` (n,) s since ``t0_ns`` strictly increasing, ``gyro_b`` (n, 3) rad/s, ``accel_b`` (n, 3)
-    m/s^2 specific force. Clipped samples are noisier by ``gyro_clipped`` (n,) rad/s/sqrt(Hz) and ``accel_clipped`` (n,)
-    m/s^2/sqrt(Hz), 0 at the others; None where no sample is.
+    m/s^2 specific force. Samples that are clipped, beside a short hole, or of a scattering stamp are noisier by
+    ``gyro_added`` (n,) rad/s/sqrt(Hz) and ``accel_added`` (n,) m/s^2/sqrt(Hz), 0 at the others; None where none is.
     """
 
     t: Array
     gyro_b: Array
     accel_b: Array
-    gyro_clipped: Array | None = None
-    accel_clipped: Array | None = None
+    gyro_added: Array | None = None
+    accel_added: Array | None = None
 
     def __post_init__(self) -> None:
         n = self.t.shape[0]

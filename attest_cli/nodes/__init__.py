@@ -17,7 +17,7 @@ from ..records import Array, Bools, Imu, Ints, Log, Segmentation
 from ..sensors import Measurement
 from ..sensors.zero_rate import ZeroRate
 from ..settings import Settings
-from .noise import Noise, clipped_density, motion_density, reference_bias
+from .noise import Noise, added_density, motion_density, reference_bias
 from .observations import Observation
 
 STOP_NODE_S = 1.0  # nodes of a stop: its attitude is frozen, only the bias walks
@@ -110,7 +110,7 @@ def build_nodes(
     linear = settings.imu.gyro_samples == "point"
     samples = Samples(imu.t, imu.gyro_b, t, np.searchsorted(imu.t, t), frozen | gap, linear)
     bias = reference_bias(log, segmentation, middle)
-    density = motion_density(noise, mean_rate(imu, middle) - bias) + clipped_density(imu.t, imu.gyro_clipped, t)
+    density = motion_density(noise, mean_rate(imu, middle) - bias) + added_density(imu.t, imu.gyro_added, t)
     increments = _increments(samples, bias, frozen, gap, density, noise)
     by_node = _assign(imu, observations, t, segmentation, settings.smoothing.zero_rate)
     for m in _zero_rates(imu, t, frozen, noise):

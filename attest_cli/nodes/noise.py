@@ -55,8 +55,8 @@ def motion_density(noise: Noise, rate: Array) -> Array:
     return np.asarray(noise.n_r + 2.0 * SCALE_CORRELATION_S * noise.gyro_scale**2 * np.sum(rate**2, axis=1))
 
 
-def clipped_density(t: Array, density: Array | None, edges: Array) -> Array:
-    r"""Return what clipped samples add to the noise between ``edges`` (m + 1,) s: the mean (m,) of its spectral
+def added_density(t: Array, density: Array | None, edges: Array) -> Array:
+    r"""Return what samples that are noisier than others add to the noise between ``edges`` (m + 1,) s: the mean (m,) of its spectral
     density, :math:`\frac1T\int n_c^2\,dt`.
 
     ``density`` (n,): that of the samples at ``t``, per sqrt(Hz), linear in between; None adds nothing.

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..maths import rotation
 from ..maths.kalman import symmetric
-from ..nodes.noise import clipped_density
+from ..nodes.noise import added_density
 from ..records import Array, Imu, Segment, Segmentation, Smoothed
 from ..settings import Settings
 from .chain import blocks, markov
@@ -106,7 +106,7 @@ def inertial_position(
     for leg in legs:
         if leg.motion is not None:
             leg.force, leg.R, leg.end = _means(strapdown, leg.rows, smoothed.t[leg.at])
-    noise = accel_density**2 + clipped_density(imu.t, imu.accel_clipped, smoothed.t)
+    noise = accel_density**2 + added_density(imu.t, imu.accel_added, smoothed.t)
     P, parts, closings = _solved(strapdown, smoothed, legs, settings, noise)
     shaking = _shaking(closings)
     if shaking > 0.0:

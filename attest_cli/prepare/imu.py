@@ -183,18 +183,18 @@ def _unclipped(name: str, imu: Imu, longest_s: float, warnings: list[Warn]) -> I
     if found:
         warnings.append(clipping.told(name, "gyro", found, "rad/s"))
         gyro, density = clipping.repaired(imu.t, imu.gyro_b, found, clipping.GYRO_DENSITY)
-        imu = replace(imu, gyro_b=gyro, gyro_clipped=density)
+        imu = replace(imu, gyro_b=gyro, gyro_added=density)
     for added in (lost.bridged(imu.t, imu.gyro_b, longest_s), jittered(imu.t, imu.gyro_b)):
         if added is not None:
-            imu = replace(imu, gyro_clipped=added if imu.gyro_clipped is None else np.hypot(added, imu.gyro_clipped))
+            imu = replace(imu, gyro_added=added if imu.gyro_added is None else np.hypot(added, imu.gyro_added))
     found = clipping.clipped(imu.t, imu.accel_b, clipping.ACCEL_FLOOR)
     if found:
         warnings.append(clipping.told(name, "accelerometer", found, "m/s^2"))
         _, density = clipping.repaired(imu.t, imu.accel_b, found, clipping.ACCEL_DENSITY)
-        imu = replace(imu, accel_clipped=density)
+        imu = replace(imu, accel_added=density)
     bridged = lost.bridged(imu.t, imu.accel_b, longest_s)
     if bridged is not None:
-        imu = replace(imu, accel_clipped=bridged if imu.accel_clipped is None else np.hypot(bridged, imu.accel_clipped))
+        imu = replace(imu, accel_added=bridged if imu.accel_added is None else np.hypot(bridged, imu.accel_added))
     return imu
 
 

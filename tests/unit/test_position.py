@@ -309,7 +309,7 @@ def test_clipped_or_lost_force_widens_the_place_from_there_on(short: Drive) -> N
     motion = next(s for s in short.work.segmentation.segments if s.motion)
     middle = 0.5 * (motion.start + motion.end)
     spoilt = np.where(np.abs(imu.t - middle) < 0.2, 10.0, 0.0)
-    unsure = short.inertial(imu=replace(imu, accel_clipped=spoilt))
+    unsure = short.inertial(imu=replace(imu, accel_added=spoilt))
     t, (wide, narrow) = short.smoothed.t, (np.trace(p.P, axis1=1, axis2=2) for p in (unsure, sure))
     end = np.searchsorted(t, motion.end)
     assert wide[end] > 1.5 * narrow[end]

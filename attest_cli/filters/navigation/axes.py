@@ -24,7 +24,7 @@ LATE, OPENS = "accel-late", {"gyro-noise-raised", "gyro-scale"}  # codes of warn
 SHOWS = 0.05  # of its prior variance: what the drive must take off a combination of states for it to count
 SURE = 1e-4  # chance of a misfit taken as proof
 WIDE, LARGEST = 0.15, 0.3  # sigma with which the errors are looked for; larger ones are another fault
-OFTEN = 2e-3  # share of clipped samples that bends the scale
+OFTEN, CLIPPED = 2e-3, 0.1  # share of clipped samples that bends the scale; rad/s/sqrt(Hz): as noisy as those
 FAR = 30.0  # NIS that is larger counts as this
 TOLD, SIGMAS = 0.005, 3.0  # least error that is told, and in sigmas
 TURNED_RAD = np.radians(1.2)  # from which a turn is told as a contradiction
@@ -43,7 +43,7 @@ def contradicted(log: Log, done: Navigated) -> bool:
     for them, the stops are asked.
     """
     problem, found = done.problem, done.found
-    clipped = log.imu.gyro_clipped is not None and float(np.mean(log.imu.gyro_clipped > 0.0)) > OFTEN
+    clipped = log.imu.gyro_added is not None and float(np.mean(log.imu.gyro_added >= CLIPPED)) > OFTEN
     if clipped or any(warn.code == LATE for warn in log.warnings):
         return False
     if STATES not in problem.layout:

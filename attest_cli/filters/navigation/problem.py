@@ -12,7 +12,7 @@ from ...maths.propagation import run_steps
 from ...mounting import find_mounting, upright
 from ...nodes import Nodes
 from ...nodes.field import field_doubts
-from ...nodes.noise import clipped_density
+from ...nodes.noise import added_density
 from ...nodes.observations import at_stop
 from ...records import Array, Warn
 from .. import Drive
@@ -245,8 +245,8 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     unmodelled = 0.0 if stated else ACCEL_FLOOR**2 + (ACCEL_SHARE * felt) ** 2
     accel = noise.accel_density**2 + np.where(moving, unmodelled, 0.0)
     imu = drive.log.imu
-    gyro = gyro + clipped_density(imu.t, imu.gyro_clipped, nodes.t)
-    accel = accel + clipped_density(imu.t, imu.accel_clipped, nodes.t)
+    gyro = gyro + added_density(imu.t, imu.gyro_added, nodes.t)
+    accel = accel + added_density(imu.t, imu.accel_added, nodes.t)
     return replace(found, gyro=gyro, accel=accel)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -77,6 +78,14 @@ def test_a_scale_error_is_taken_out_and_told() -> None:
     assert [w.fatal for w in told] == [False]
     assert "1.06" in told[0].message
     assert worst(found, 2) < 4.0
+
+
+@pytest.mark.parametrize(("added", "asked"), [(5e-3, True), (0.2, False)])
+def test_scattering_stamps_hide_no_scale_but_clipping_does(added: float, asked: bool) -> None:
+    drive = hand(2, 0.06 * np.eye(3))
+    imu = replace(drive.log.imu, gyro_added=np.where(np.arange(len(drive.log.imu.t)) % 50 < 25, added, 0.0))
+    found = navigation.forward(replace(drive, log=replace(drive.log, imu=imu)))
+    assert ("gyro-scale" in {w.code for w in found.warnings}) == asked
 
 
 def test_a_gyro_turned_against_the_accelerometer_fails_the_log() -> None:

@@ -167,9 +167,9 @@ def test_a_clipped_accelerometer_is_told_and_counts_less_there() -> None:
     values = {k: np.clip(v, -25.0, 25.0) if k.startswith("accel") else v for k, v in channel.values.items()}
     log = prepare([replace(recording, channels=(replace(channel, values=values),))], Settings())
     assert [w for w in log.warnings if w.code == "accelerometer-clipped"]
-    assert log.imu.accel_clipped is not None
+    assert log.imu.accel_added is not None
     assert log.imu.accel_b.max() == 25.0
-    assert np.array_equal(log.imu.accel_clipped > 0, np.any(np.abs(log.imu.accel_b) >= 25.0, axis=1))
+    assert np.array_equal(log.imu.accel_added > 0, np.any(np.abs(log.imu.accel_b) >= 25.0, axis=1))
 
 
 @pytest.mark.parametrize(

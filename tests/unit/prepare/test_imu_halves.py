@@ -51,7 +51,7 @@ def test_the_force_beside_a_short_hole_is_less_known() -> None:
     keep = np.ones(N, dtype=bool)
     keep[1000:1040] = False
     log = log_of(channel("imu", keep=keep))
-    assert log.imu.accel_clipped is not None
-    assert np.flatnonzero(log.imu.accel_clipped).tolist() == [999, 1000]
-    assert log.imu.accel_clipped.max() == pytest.approx(0.3 * np.sqrt(0.41 / 2), rel=0.2)  # the mean of its two ends
-    assert log_of(channel("imu")).imu.accel_clipped is None
+    assert log.imu.accel_added is not None
+    assert np.flatnonzero(log.imu.accel_added).tolist() == [999, 1000]
+    assert log.imu.accel_added.max() == pytest.approx(0.3 * np.sqrt(0.41 / 2), rel=0.2)  # the mean of its two ends
+    assert log_of(channel("imu")).imu.accel_added is None
