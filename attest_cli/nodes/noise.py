@@ -56,7 +56,7 @@ def motion_density(noise: Noise, rate: Array) -> Array:
 
 
 def added_density(t: Array, density: Array | None, edges: Array) -> Array:
-    r"""Return what samples that are noisier than others add to the noise between ``edges`` (m + 1,) s: the mean (m,) of its spectral
+    r"""Return what noisier samples add to the noise between ``edges`` (m + 1,) s: the mean (m,) of their spectral
     density, :math:`\frac1T\int n_c^2\,dt`.
 
     ``density`` (n,): that of the samples at ``t``, per sqrt(Hz), linear in between; None adds nothing.
