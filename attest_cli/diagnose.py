@@ -133,7 +133,10 @@ def _estimated(
     except AttestError as fault:
         told.append(_refused("verdict", fault))
         return
-    told += [_warned(w) for w in run.warnings if w not in {*log.warnings, *segmentation.warnings}]
+    early = {*log.warnings, *segmentation.warnings}
+    explained = [_warned(w) for w in early.difference(run.warnings)]  # by what the run found
+    told[:] = [f for f in told if f not in explained]
+    told += [_warned(w) for w in run.warnings if w not in early]
     _judged(run, told, measured)
 
 
