@@ -31,14 +31,14 @@ def slips(
     q : (n, 4) attitude of the IMU at its samples
     gravity : m/s^2
     """
-    starts, misses = [], []
+    starts, misses, most = [], [], 0.0
     for s in segmentation.motions:
         edges = np.arange(s.start, s.end, STEP_S)
         rows = np.searchsorted(imu.t, edges)
         if len(edges) <= STEPS or rows[-1] >= len(imu.t):
             continue
-        force = np.add.reduceat(imu.accel_b[rows[0] : rows[-1]] @ forward_b, rows[:-1] - rows[0])
-        felt = force / np.maximum(np.diff(rows), 1)
+        summed = np.append(0.0, np.cumsum(imu.accel_b[rows[0] : rows[-1]] @ forward_b))
+        felt = np.diff(summed[rows - rows[0]]) / np.maximum(np.diff(rows), 1)
         tilt = rotation.matrix(q[(rows[:-1] + rows[1:]) // 2])[:, 2] @ forward_b
         felt = (felt - gravity * tilt) * STEP_S
         change = np.diff(np.interp(edges, odometry.t, odometry.values[:, 0]))
@@ -46,12 +46,14 @@ def slips(
         known = (np.diff(rows) > 0) & (odometry.t[next_] - odometry.t[next_ - 1] < HOLE_S)
         each = np.where(known, change - felt, 0.0)
         missed, late = (np.lib.stride_tricks.sliding_window_view(x, STEPS) for x in (each, np.abs(felt)))
+        off = np.abs(missed.sum(axis=1))
         starts.append(edges[:-STEPS])
-        misses.append(np.maximum(np.abs(missed.sum(axis=1)) - LATE_S / STEP_S * late.max(axis=1), 0.0))
+        misses.append(np.maximum(off - LATE_S / STEP_S * late.max(axis=1), 0.0))
+        most = max(most, float(off[np.argmax(misses[-1])]))
     if not misses:
         return np.zeros((0, 2)), 0.0
     every = np.concatenate(misses)
     least = max(LEAST_M_S, SURE * MAD * float(np.median(every)))
     wrong = [at[miss > least] for at, miss in zip(starts, misses, strict=True)]
     spans = [(at[0], at[-1] + STEPS * STEP_S) for at in wrong if len(at)]
-    return np.array(spans).reshape(-1, 2), float(every.max())
+    return np.array(spans).reshape(-1, 2), most

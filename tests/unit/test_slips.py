@@ -51,3 +51,15 @@ def test_wheels_that_slip_are_found_where_they_do(
     if span is not None:
         assert found[0] == pytest.approx(span, abs=3.1)
         assert most > 0.5
+
+
+def test_a_slow_imu_with_steps_that_hold_no_sample_is_asked_too(rng: np.random.Generator) -> None:
+    imu, q, speed = drive(rng)
+    rows = np.flatnonzero(np.arange(len(T)) % 40 == 0)  # 2.5 Hz
+    slow = Imu(imu.t[rows], imu.gyro_b[rows], imu.accel_b[rows])
+    odometry = Fixes("odometry", "/odom", T[::5], speed[::5, None], None)
+    start, end = 0.05, float(slow.t[-1]) - 0.01  # the last two steps end between the same samples
+    motion = Segment(1, True, start, end, 0, len(rows), start, end)
+    motions = Segmentation((motion,), np.zeros(len(rows), dtype=np.float32), 1.0, 2.0, np.zeros(3), np.nan, "file")
+    found, _ = slips(slow, q[rows], motions, odometry, np.array([1.0, 0.0, 0.0]), G)
+    assert len(found) == 0
