@@ -10,6 +10,7 @@ from .lost import SAMPLED, around, changes
 SINGLE = 0.5  # of a period: steps so near to it lost nothing
 LEAST = 0.01  # of a period: what scatters less turns next to nothing
 SMOOTH, FOLLOWS = 0.7, 0.5  # times the change beside a step, where values are smooth; share that goes with its length
+SURE = 2.0  # sigma of that share
 
 
 def jittered(t: Array, gyro: Array) -> Array | None:
@@ -23,8 +24,7 @@ def jittered(t: Array, gyro: Array) -> Array | None:
     period = float(np.median(step))
     single = np.abs(step / period - 1.0) < SINGLE
     sigma = float(np.std(step[single])) / np.sqrt(2.0)
-    some = slice(SAMPLED)
-    if sigma < LEAST * period or _follows(step[some] / period, single[some], gyro[: SAMPLED + 1]):
+    if sigma < LEAST * period or _follows(step / period, single, gyro):
         return None
     square = np.zeros(len(t))
     for x in gyro.T:  # the axis that shakes most
@@ -33,12 +33,21 @@ def jittered(t: Array, gyro: Array) -> Array | None:
 
 
 def _follows(step: Array, single: Bools, gyro: Array) -> bool:
-    """Tell whether smooth values change the more the longer the step."""
-    rows = np.flatnonzero(single[:-2] & single[1:-1] & single[2:])
-    times, weight, rows = changes(np.diff(gyro, axis=0), rows)
+    """Tell whether smooth values change the more the longer the step, where steps scatter."""
+    scatters = single[:-2] & single[1:-1] & single[2:] & (np.abs(step[1:-1] - 1.0) > LEAST)
+    rows = np.flatnonzero(scatters)[:SAMPLED]
+    if not rows.size:
+        return False
+    first = int(rows[0])
+    times, weight, rows = changes(np.diff(gyro[first : rows[-1] + 4], axis=0), rows - first)
     total = float(weight.sum())
     if not total:
         return False
-    usual, longer = float(times @ weight) / total, step[rows + 1] - float(step[rows + 1] @ weight) / total
-    slope = float(np.sum(weight * longer * times)) / float(np.sum(weight * longer**2))
-    return usual > SMOOTH and slope > FOLLOWS * usual
+    length = step[first + rows + 1]
+    usual, longer = float(times @ weight) / total, length - float(length @ weight) / total
+    spread = float(np.sum(weight * longer**2))
+    if usual < SMOOTH or spread == 0.0:
+        return False
+    slope = float(np.sum(weight * longer * times)) / spread
+    wide = float(np.linalg.norm(weight * longer * (times - usual - slope * longer))) / spread
+    return slope - SURE * wide > FOLLOWS * usual

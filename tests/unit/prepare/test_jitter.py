@@ -35,3 +35,11 @@ def test_the_density_covers_the_walk_of_the_angle(sigma: float, fastest_hz: floa
 def test_samples_that_scatter_themselves_cost_nothing(rng: np.random.Generator) -> None:
     t = np.sort(np.arange(6000) / 100.0 + rng.normal(0.0, 1e-3, 6000))
     assert jittered(t, shaking(t, rng, 2.0) + rng.normal(0.0, 1e-4, (6000, 3))) is None
+
+
+@pytest.mark.parametrize("rate", [100.0, 128.0])
+def test_stamps_that_scatter_late_in_a_long_log_are_judged_there(rate: float, rng: np.random.Generator) -> None:
+    even = np.arange(210_000) / rate
+    late = even[-1] + np.cumsum(1.0 / rate + rng.uniform(-0.2, 0.2, 30_000) / rate)
+    t = np.concatenate([even, late])
+    assert jittered(t, shaking(np.arange(len(t)) / rate, rng, 2.0)) is not None
