@@ -8,11 +8,16 @@ from ...nodes import Nodes
 from ...records import Array, Bools, Warn
 from .. import Drive
 from .aids import Place
+from .states import State
 
 GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # where nothing is stated
 FAST_M_S = 100.0  # a vehicle is hardly faster
 ON_NODE_S = 2e-3  # a fix that lies further from every node is left out
 OUTLIER_FIXES, OUTLIER_SIGMAS = 5, 30.0  # a fix is held against the median of so many
+PLACE_DRIFT, PLACE_DRIFT_S = 0.2, 60.0  # coloured error of fixes: share of their sigma, correlation time
+DRIFT_RATE, DRIFT_RATE_S = 0.01, 5.0  # and its rate, share per second: receivers smooth what they show
+STATED_RATE = 0.1  # of that, to begin with, where their sigma is stated: it holds most of their error
+LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
 APART_S = 0.049  # fixes that come faster are thinned: each is a node
 
 
@@ -36,6 +41,18 @@ def place_of(drive: Drive, nodes: Nodes, role: str, arm: Array) -> Place:
     can_be, place, sigma = possible(drive, role)
     use = can_be & (np.abs(nodes.t[node] - fixes.t) < ON_NODE_S)
     return Place(node[use], fixes.t[use], place[use], sigma[use], arm, role)
+
+
+def place_states(drive: Drive, place: Place) -> list[State]:
+    """Return the states that fixes call for: their coloured error, its rate, and how late they are."""
+    usual = float(np.nanmedian(place.sigma))
+    stated = "sigma_m" in getattr(drive.settings, place.role).model_fields_set
+    rate = DRIFT_RATE * usual * (STATED_RATE if stated else 1.0)
+    return [
+        State(f"{place.role} drift", 3, PLACE_DRIFT * usual, PLACE_DRIFT_S),
+        State(f"{place.role} drift rate", 3, rate, DRIFT_RATE_S, f"{place.role} drift"),
+        State(f"{place.role} lag", 1, LAG_SIGMA_S),
+    ]
 
 
 def possible(drive: Drive, role: str) -> tuple[Bools, Array, Array]:

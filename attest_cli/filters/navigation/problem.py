@@ -8,23 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...maths import rotation
-from ...maths.propagation import run_steps
-from ...mounting import find_mounting, upright
 from ...nodes import Nodes
-from ...nodes.field import field_doubts
 from ...nodes.noise import added_density
-from ...nodes.observations import at_stop
 from ...records import Array, Warn
 from .. import Drive
 from ..choice import LIVELY_RAD_S, liveliness
 from . import colours
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
-from .fixes import FAST_M_S, far_off, origin_of, place_of
+from .field import field_at_nodes, field_states, start_field, tuned_field
+from .fixes import FAST_M_S, LAG_SIGMA_S, far_off, origin_of, place_of, place_states
 from .model import Inertial, Trajectory, inertial_of
 from .north import north_sigma
 from .start import heading_of_velocity, heading_of_wheels, heading_offset, mirrored
 from .states import Layout, State, layout
 from .streams import clock_of, height_of, velocity_of
+from .wheels import wheel_states, wheels_of
 
 TILT_SIGMA, HEADING_SIGMA, DATUM = 0.3, 1.0, 1e-4  # rad, at the first node
 STILL_M_S = 0.01  # a stop may rock this much
@@ -32,19 +30,8 @@ BOUND_S = 1.0  # correlation time of speed and place
 RATE_SHARE = 1e-3  # of the rate: what scale and misalignment leave as noise, rad/s/sqrt(Hz)
 ACCEL_FLOOR, ACCEL_SHARE = 0.05, 0.03  # m/s^2/sqrt(Hz) in motion where no density is stated; share of the acceleration
 SCALE_SIGMA = 5e-3
-FIELD_S = 5.0  # a disturbed field stays so
-OFFSET_SHARE, OFFSET_SHARE_NO_REST, IRON_SHARE = 0.1, 0.02, 0.007  # of the field
-LEVEL_SHARE = 0.5  # of the field that is level: iron turns heading by its share of that
-REST_FLOOR, PLACE_SHARE, MOTION_FLOOR = 0.003, 0.01, 0.01  # of the field
-MAD = 1.4826
-SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
-STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
-LONGEST_HOLE_S = 1.0  # odometry is bridged over this
-PLACE_DRIFT, PLACE_DRIFT_S = 0.2, 60.0  # coloured error of fixes: share of their sigma, correlation time
-DRIFT_RATE, DRIFT_RATE_S = 0.01, 5.0  # and its rate, share per second: receivers smooth what they show
-STATED_RATE = 0.1  # of that, to begin with, where their sigma is stated: it holds most of their error
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
-LAG_SIGMA_S = 0.1  # how late the stamps of fixes may be
+MAD = 1.4826
 NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
 ROLLING_M_S = 30.0  # of what has wheels, m/s at the start
 NORTH_RAD, WENT = 0.5, 5.0  # sigma of a heading that is shown; share of their sigma by which places have to spread
@@ -92,7 +79,7 @@ def assemble(
     roles = [role for role in ("gps", "position") if role in drive.log.fixes]
     places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
     doubts = [warn for role in roles for warn in far_off(drive, role)]
-    wheels, told = _wheels(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
+    wheels, told = wheels_of(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
     doubts += [_mirrored(place.role) for place in places if mirrored(drive.log.imu, nodes.t, q, place, wheels)]
     if heading == "relative" and (places or "gps_velocity" in drive.log.fixes):
         turn, shows = _headed(drive, nodes, q, bias, places, wheels)
@@ -106,30 +93,19 @@ def assemble(
     aids, states = _inertial_aids(drive, nodes), _core_states(drive)
     field, north = None, 0.0
     if "magnetometer" in drive.log.fixes:
-        field = _field_at_nodes(drive, nodes, q, bias)
-        states += _field_states(drive, field, at_rest=bool((~nodes.moving).any()))
+        field = field_at_nodes(drive, nodes, q, bias)
+        states += field_states(drive, field, at_rest=bool((~nodes.moving).any()))
         north, of_reference = north_sigma(field, rotation.matrix(q[field.node]), drive.world.field_n)
         north = 0.0 if places or "gps_velocity" in drive.log.fixes else north  # which show it
         doubts += of_reference
     aids += _seen(nodes)
     for place in places:
-        usual = float(np.nanmedian(place.sigma))
-        stated = "sigma_m" in getattr(drive.settings, place.role).model_fields_set
-        rate = DRIFT_RATE * usual * (STATED_RATE if stated else 1.0)
-        states += [
-            State(f"{place.role} drift", 3, PLACE_DRIFT * usual, PLACE_DRIFT_S),
-            State(f"{place.role} drift rate", 3, rate, DRIFT_RATE_S, f"{place.role} drift"),
-            State(f"{place.role} lag", 1, LAG_SIGMA_S),
-        ]
+        states += place_states(drive, place)
         aids.append(place)
     more, further = _streams(drive, nodes, bias, arms)
     aids, states = aids + more, states + further
     if wheels is not None:
-        cfg = drive.settings.odometry
-        states += [
-            State("odometry scale", 1, cfg.scale_sigma), State("odometry mounting", 2, wheels.seat_sigma),
-            State("odometry slip", 3, SLIP_SHARE * np.array([cfg.sigma_m_s, *[cfg.lateral_sigma_m_s] * 2]), SLIP_S),
-        ]  # fmt: skip
+        states += wheel_states(drive, wheels)
         aids.append(wheels)
     armed = [*roles, *(["odometry"] if wheels is not None else [])]
     states += [State(f"{role} lever arm", 3, ARM_SIGMA_M) for role in armed if role not in arms]
@@ -138,25 +114,14 @@ def assemble(
     x[:, form.parts["gyro bias"]] = bias
     at = Trajectory(q, x)
     if field is not None:
-        _start_field(field, form, at)
-        aids.append(_tuned_field(field, form, at, nodes.t))
+        start_field(field, form, at)
+        aids.append(tuned_field(field, form, at, nodes.t))
     late = max(0.0, places[0].t[0] - nodes.t[0]) if places else 0.0
     prior = _prior(form, at, heading, NEAR_M + FAST_M_S * late if places else None)
     inertial = _inertial(drive, nodes, scaled="gyro scale" in form)
     return Problem(
         form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive), north
     )  # fmt: skip
-
-
-def _field_states(drive: Drive, field: Magnetometer, *, at_rest: bool) -> list[State]:
-    """Return the states of a magnetometer."""
-    norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
-    offset = OFFSET_SHARE if at_rest else OFFSET_SHARE_NO_REST
-    turned, _ = field_doubts(drive.log.fixes["magnetometer"], drive.log, drive.segmentation, drive.world)
-    return [
-        State("hard iron", 3, max(IRON_SHARE, LEVEL_SHARE * turned) * norm), State("earth field", 2, 0.3 * norm),
-        State("motion offset", 3, offset * norm),
-    ]  # fmt: skip
 
 
 def _headed(
@@ -298,62 +263,11 @@ def _seen(nodes: Nodes) -> list[Aid]:
     return [Seen(role, tuple(m for m in flat if m.role == role)) for role in roles]
 
 
-def _field_at_nodes(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> Magnetometer:
-    """Return the field at the nodes: samples turned by the gyro into their nearest node, those of a stop into one."""
-    fixes, imu = drive.log.fixes["magnetometer"], drive.log.imu
-    known = np.isfinite(fixes.values).all(axis=1) & (fixes.t >= imu.t[0]) & (fixes.t <= imu.t[-1])
-    t, steps = fixes.t[known], nodes.steps
-    middle = np.where((nodes.frozen | nodes.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
-    grid, q_grid = _attitude(nodes, q, bias)
-    i = np.clip(np.searchsorted(grid, t, side="right") - 1, 0, len(grid) - 2)
-    owner = np.repeat(np.arange(len(middle)), steps.count)[i]
-    turn = rotation.exp_quaternion((steps.rate0[i] - middle[owner]) * (t - grid[i])[:, None])
-    field_n = rotation.rotate(rotation.multiply(q_grid[i], turn), fixes.values[known])
-    node = np.clip(np.searchsorted(nodes.t, t), 1, len(nodes.t) - 1)
-    node = np.where(t - nodes.t[node - 1] < nodes.t[node] - t, node - 1, node)
-    inside = at_stop(t, drive.segmentation)
-    first = np.searchsorted(nodes.t, [s.used_start - 1e-6 for s in drive.segmentation.stops])
-    number = np.searchsorted([s.used_start for s in drive.segmentation.stops], t, side="right") - 1
-    node[inside] = first[number[inside]] if len(first) else node[inside]
-    use = inside | nodes.moving[node]
-    n = len(nodes.t)
-    count = np.bincount(node[use], minlength=n)
-    total = np.stack([np.bincount(node[use], field_n[use, k], n) for k in range(3)], axis=1)
-    at = np.flatnonzero(count)
-    field_b = rotation.rotate(rotation.conjugate(q[at]), total[at] / count[at][:, None])
-    world = drive.world.field_n
-    azimuth = 0.5 * np.pi if world is None else float(np.arctan2(world[1], world[0]))
-    return Magnetometer(at, nodes.t[at], field_b, nodes.moving[at], azimuth, np.ones(len(at)))
-
-
-def _start_field(field: Magnetometer, form: Layout, at: Trajectory) -> None:
-    """Begin with the earth field that the rests show (the whole log where there is none)."""
-    seen = rotation.rotate(at.q[field.node], field.field_b)
-    typical = np.median(seen[~field.moving] if (~field.moving).any() else seen, axis=0)
-    at.x[:, form.parts["earth field"]] = [np.hypot(typical[0], typical[1]), typical[2]]
-
-
-def _tuned_field(field: Magnetometer, form: Layout, at: Trajectory, t: Array) -> Magnetometer:
-    r"""Return the magnetometer with the noise that its own residuals show: in motion :math:`\sigma_m\sqrt{2\tau/T}`, at
-    rest the scatter and the error of the place.
-    """
-    r = field.rows(form, at).r
-    norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
-    sigma, moving = np.empty(len(r)), field.moving
-    if moving.any():
-        scatter = max(MAD * float(np.median(np.abs(r[moving]))), MOTION_FLOOR * norm)
-        sigma[moving] = scatter * np.sqrt(np.maximum(1.0, 2.0 * FIELD_S / np.gradient(t)[field.node[moving]]))
-    if not moving.all():
-        scatter = max(MAD * float(np.median(np.abs(r[~moving]))), REST_FLOOR * norm)
-        sigma[~moving] = np.hypot(scatter, PLACE_SHARE * norm)
-    return replace(field, sigma=sigma)
-
-
 def _tuner(t: Array) -> Tune:
     """Return what finds the noise of the aids again after a pass."""
 
     def tune(aids: Sequence[Aid], form: Layout, at: Trajectory) -> list[Aid]:
-        return [_tuned_field(a, form, at, t) if isinstance(a, Magnetometer) else a for a in aids]
+        return [tuned_field(a, form, at, t) if isinstance(a, Magnetometer) else a for a in aids]
 
     return tune
 
@@ -369,49 +283,6 @@ def _prior(form: Layout, at: Trajectory, heading: str, place_m: float | None) ->
     if place_m is not None:
         P[6:9, 6:9] = place_m**2 * np.eye(3)
     return Trajectory(at.q[:1], at.x[:1]), P
-
-
-def _wheels(
-    drive: Drive, nodes: Nodes, q: Array, bias: Array, arm: Array
-) -> tuple[Wheels | None, list[Warn]]:  # fmt: skip
-    """Return the wheel speed at the moving nodes, on the IMU's clock, if the drive bears it out."""
-    odometry, cfg = drive.log.fixes.get("odometry"), drive.settings
-    if odometry is None:
-        return None, []
-    grid, q_grid = _attitude(nodes, q, bias)
-    at_samples = q_grid[np.searchsorted(grid, drive.log.imu.t - 1e-9).clip(0, len(grid) - 1)]
-    seat = find_mounting(drive.log.imu, at_samples, drive.segmentation, odometry, drive.world.gravity)
-    given = cfg.imu.mounting != "auto"
-    if seat is not None and seat.certain and seat.contradicted:
-        message = f"odometry is {1.0 / seat.scale:.2g} times the speed that the accelerometer shows: not used"
-        return None, [Warn("odometry-contradicts", message, "check its unit, sign and channel")]
-    found = seat is not None and seat.certain
-    if not given and not found and not upright(drive.segmentation, drive.log.imu):
-        message = "odometry not used: the drive does not show how the IMU sits in the vehicle"
-        return None, [Warn("odometry-not-used", message, "give [imu] mounting")]
-    R_vb, seat_sigma = np.eye(3), np.full(2, STATED_SEAT if given else ASSUMED_SEAT)
-    if seat is not None and found and not given:
-        R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma[1:]
-    t = odometry.t - (seat.lag if seat is not None else 0.0)
-    at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
-    after = np.clip(np.searchsorted(t, nodes.t[at]), 1, len(t) - 1)
-    at = at[t[after] - t[after - 1] < LONGEST_HOLE_S]
-    values = np.nan_to_num(odometry.values)
-    velocity = np.stack([np.interp(nodes.t[at], t, values[:, k]) for k in range(3)], axis=1)
-    own = cfg.odometry
-    per = np.sqrt(
-        max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t)[nodes.moving[1:]])), 1e-3))
-    )
-    sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
-    rate = np.stack([np.interp(nodes.t[at], drive.log.imu.t, drive.log.imu.gyro_b[:, k]) for k in range(3)], axis=1)
-    return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma, rate - bias[at], arm), []
-
-
-def _attitude(nodes: Nodes, q: Array, bias: Array) -> tuple[Array, Array]:
-    """Return the grid of samples and nodes (g,) and the attitude on it (g, 4), run on from every node."""
-    middle = np.where((nodes.frozen | nodes.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
-    grid = nodes.t[0] + np.concatenate([[0.0], np.cumsum(nodes.steps.dt)])
-    return grid, np.concatenate([q[:1], run_steps(nodes.steps, q[:-1], middle)])
 
 
 __all__ = ["Problem", "assemble", "motion_of", "node_spacing"]

@@ -1,0 +1,64 @@
+"""The wheels of the navigation smoother: their speed at the nodes, if the drive bears it out, and their states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...maths import rotation
+from ...mounting import find_mounting, upright
+from ...nodes import Nodes
+from ...records import Array, Warn
+from .. import Drive
+from .aids import Wheels
+from .model import on_steps
+from .states import State
+
+SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
+STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
+LONGEST_HOLE_S = 1.0  # odometry is bridged over this
+
+
+def wheels_of(
+    drive: Drive, nodes: Nodes, q: Array, bias: Array, arm: Array
+) -> tuple[Wheels | None, list[Warn]]:  # fmt: skip
+    """Return the wheel speed at the moving nodes, on the IMU's clock, if the drive bears it out."""
+    odometry, cfg = drive.log.fixes.get("odometry"), drive.settings
+    if odometry is None:
+        return None, []
+    grid, q_grid = on_steps(nodes, q, bias)
+    at_samples = q_grid[np.searchsorted(grid, drive.log.imu.t - 1e-9).clip(0, len(grid) - 1)]
+    seat = find_mounting(drive.log.imu, at_samples, drive.segmentation, odometry, drive.world.gravity)
+    given = cfg.imu.mounting != "auto"
+    if seat is not None and seat.certain and seat.contradicted:
+        message = f"odometry is {1.0 / seat.scale:.2g} times the speed that the accelerometer shows: not used"
+        return None, [Warn("odometry-contradicts", message, "check its unit, sign and channel")]
+    found = seat is not None and seat.certain
+    if not given and not found and not upright(drive.segmentation, drive.log.imu):
+        message = "odometry not used: the drive does not show how the IMU sits in the vehicle"
+        return None, [Warn("odometry-not-used", message, "give [imu] mounting")]
+    R_vb, seat_sigma = np.eye(3), np.full(2, STATED_SEAT if given else ASSUMED_SEAT)
+    if seat is not None and found and not given:
+        R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma[1:]
+    t = odometry.t - (seat.lag if seat is not None else 0.0)
+    at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
+    after = np.clip(np.searchsorted(t, nodes.t[at]), 1, len(t) - 1)
+    at = at[t[after] - t[after - 1] < LONGEST_HOLE_S]
+    values = np.nan_to_num(odometry.values)
+    velocity = np.stack([np.interp(nodes.t[at], t, values[:, k]) for k in range(3)], axis=1)
+    own = cfg.odometry
+    per = np.sqrt(
+        max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t)[nodes.moving[1:]])), 1e-3))
+    )
+    sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
+    rate = np.stack([np.interp(nodes.t[at], drive.log.imu.t, drive.log.imu.gyro_b[:, k]) for k in range(3)], axis=1)
+    return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma, rate - bias[at], arm), []
+
+
+def wheel_states(drive: Drive, wheels: Wheels) -> list[State]:
+    """Return the states that wheels call for: scale, seat of the IMU, slip."""
+    cfg = drive.settings.odometry
+    noise = np.array([cfg.sigma_m_s, cfg.lateral_sigma_m_s, cfg.lateral_sigma_m_s])
+    return [
+        State("odometry scale", 1, cfg.scale_sigma), State("odometry mounting", 2, wheels.seat_sigma),
+        State("odometry slip", 3, SLIP_SHARE * noise, SLIP_S),
+    ]  # fmt: skip
