@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -21,7 +22,7 @@ LONGEST_S = 86400.0  # the advice looks this far ahead
 SOON_S = 5.0  # a stop advised this soon after the last, or before the next, tells nobody anything
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Pass:
     """One pass over the nodes: ``q`` (n, 4), ``bias`` (n, 3), ``P`` (n, 6, 6); NaN where it knows nothing."""
 
@@ -38,8 +39,9 @@ class Pass:
         P[:, :3, :3] += np.diag(sigma**2)
         return Pass(rotation.multiply(self.q, q_bv), self.bias @ R, P)
 
+    @cached_property
     def sigma_n(self) -> Array:
-        """Return the attitude sigmas (n, 3) about world axes, rad."""
+        """The attitude sigmas (n, 3) about world axes, rad."""
         return np.asarray(np.sqrt(np.einsum("kii->ki", world_variance(self.q, self.P))))
 
 
@@ -49,7 +51,7 @@ def separation(forward: Pass, backward: Pass) -> tuple[Array, Array]:
     """
     apart_b = rotation.log_quaternion(rotation.multiply(rotation.conjugate(backward.q), forward.q))
     apart_n = np.einsum("kij,kj->ki", rotation.matrix(backward.q), apart_b)
-    return apart_n, np.hypot(forward.sigma_n(), backward.sigma_n())
+    return apart_n, np.hypot(forward.sigma_n, backward.sigma_n)
 
 
 def segment_checks(
@@ -60,7 +62,7 @@ def segment_checks(
     NaN where the passes are too vague to be compared.
     """
     apart, sigma = separation(forward, backward)
-    f, b = (np.sum(p.sigma_n() ** 2, axis=1) for p in (forward, backward))
+    f, b = (np.sum(p.sigma_n**2, axis=1) for p in (forward, backward))
     found = {}
     for s in segmentation.motions:
         part = _inside(t, s.start, s.end)
@@ -88,7 +90,7 @@ def segment_table(
     checks = segment_checks(t, passes["forward"], passes["backward"], segmentation)
     if relative:
         checks = {i: (when, np.array([x, y, np.nan])) for i, (when, (x, y, _)) in checks.items()}
-    sigma = {name: np.degrees(p.sigma_n()) for name, p in passes.items()}
+    sigma = {name: np.degrees(p.sigma_n) for name, p in passes.items()}
     ranges = dict(zip((s.index for s in segmentation.stops), stop_ranges(log, segmentation), strict=True))
     worst = {name: found.max(axis=1) for name, found in sigma.items()}
     rows = []
@@ -196,7 +198,7 @@ def stop_advice(
     """Return where the rover should have stopped (the paper's flow chart): which axis, which motions, how long a
     drive may be.
     """
-    sigma = np.degrees(passes["forward"].sigma_n())
+    sigma = np.degrees(passes["forward"].sigma_n)
     over = moving & (sigma.max(axis=1) > threshold_deg)
     heading = bool(np.any(over & (sigma[:, 2] >= sigma[:, :2].max(axis=1))))
     longest = longest_drive(t, passes["forward"], segmentation, noise, np.radians(threshold_deg))
@@ -216,7 +218,7 @@ def stop_advice(
         "lines": lines,
         "share_over": float(_share(t, over) / max(_share(t, moving), 1e-9)),
         "longest_s": longest,
-        "smoothed_below": bool(np.all(np.degrees(passes["smoothed"].sigma_n()) <= threshold_deg)),
+        "smoothed_below": bool(np.all(np.degrees(passes["smoothed"].sigma_n) <= threshold_deg)),
     }
 
 

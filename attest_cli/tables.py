@@ -26,6 +26,16 @@ def vector(name: str, values: NDArray[np.floating]) -> Columns:
     return {name.format(axis): np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
 
 
+def between(knots: Array, table: NDArray[np.float32], t: Array) -> NDArray[np.float32]:
+    """Interpolate the rows of a table (k, m), linear between ascending knots (m,), at ascending times (n,); (k, n)."""
+    left = np.searchsorted(knots[1:-1], t, side="right")
+    share = np.clip((t - knots[left]) / np.diff(knots)[left], 0.0, 1.0).astype(np.float32)
+    out: NDArray[np.float32] = np.diff(table).take(left, axis=1)
+    out *= share
+    out += table.take(left, axis=1)
+    return out
+
+
 def segment_of(t: Array, segmentation: Segmentation) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """Return the segment number and whether it is a motion at ascending times ``t`` (n,)."""
     starts = np.array([s.start for s in segmentation.segments[1:]])
@@ -41,8 +51,8 @@ class Track:
 
     ``q`` (n, 4) attitude of the IMU at its samples; ``smoothed`` the nodes; ``q_bv`` (4,) body axes to the IMU's;
     known to ``axes_sigma`` (3,) rad; ``frame`` ``ned`` turns the world to NED and the body to FRD. Sigmas are
-    interpolated linearly in variance: between nodes 0.1 s apart they are smooth. Sigmas, bias and velocity have seven
-    digits, which is more than is known of them.
+    interpolated linearly in variance: between nodes they are smooth. Sigmas, bias and velocity have seven digits, which
+    is more than is known of them.
     """
 
     log: Log
@@ -60,6 +70,7 @@ class Track:
         if self.frame == "ned":
             body, world = rotation.multiply(body, rotation.from_matrix(FLU_TO_FRD)), rotation.from_matrix(ENU_TO_NED)
         nodes = self._node_columns(rotation.matrix(body), rotation.matrix(world))
+        names, table = tuple(nodes), np.stack([values.astype(np.float32) for values in nodes.values()])
         last_q, last_yaw = IDENTITY, 0.0
         course = iter(()) if self.position is None else self.position.course()
         for rows in row_blocks(len(self.q)):
@@ -67,11 +78,13 @@ class Track:
             q = rotation.continuous(rotation.multiply(rotation.multiply(world, self.q[rows]), body))
             q *= 1.0 if lo == 0 or float(q[0] @ last_q) >= 0.0 else -1.0
             angles = rotation.roll_pitch_yaw(q)
-            angles[:, 2] = np.unwrap(angles[:, 2])
+            angles[:, 2] = rotation.unwrapped(angles[:, 2])
             angles[:, 2] += 2 * np.pi * np.round((last_yaw - angles[0, 2]) / (2 * np.pi)) if lo else 0.0
             last_q, last_yaw = q[-1], float(angles[-1, 2])
             place = (x @ rotation.matrix(world).T for x in next(course, np.full((2, len(q), 3), np.nan)))
-            yield self._columns(rows, q, angles, nodes, *place)
+            near = around(self.smoothed.t, self.log.imu.t[rows])
+            at = between(self.smoothed.t[near], table[:, near], self.log.imu.t[rows])
+            yield self._columns(rows, q, angles, dict(zip(names, at, strict=True)), *place)
 
     def _node_columns(self, R_body: Array, R_world: Array) -> Columns:
         """Return what is interpolated, at the nodes: bias and variances, in the track's axes."""
@@ -91,22 +104,20 @@ class Track:
             out["sigma_heading_relative_deg"] = s.heading_relative * np.degrees(1.0) ** 2
         return out
 
-    def _columns(self, rows: slice, q: Array, angles: Array, nodes: Columns, p: Array, v: Array) -> Columns:
+    def _columns(self, rows: slice, q: Array, angles: Array, at: Columns, p: Array, v: Array) -> Columns:
         t = self.log.imu.t[rows]
-        near = around(self.smoothed.t, t)
-        at = {name: np.interp(t, self.smoothed.t[near], values[near]) for name, values in nodes.items()}
         segment, moving = segment_of(t, self.segmentation)
         columns: Columns = {"timestamp_ns": self.log.stamps_ns[rows], "t_s": t}
         columns |= {f"q_{name}": np.ascontiguousarray(q[:, i]) for i, name in enumerate("wxyz")}
         columns |= {f"{name}_deg": np.degrees(angles[:, i]) for i, name in enumerate(("roll", "pitch", "yaw"))}
         columns |= _sigmas("sigma_att_{}_deg", at)
-        columns |= {f"gyro_bias_{a}_rad_s": at[f"gyro_bias_{a}_rad_s"].astype(np.float32) for a in "xyz"}
+        columns |= {f"gyro_bias_{a}_rad_s": at[f"gyro_bias_{a}_rad_s"] for a in "xyz"}
         columns |= _sigmas("sigma_gyro_bias_{}_rad_s", at)
         columns |= vector("position_{}_m", p) | _sigmas("sigma_position_{}_m", at, p)
         columns |= vector("velocity_{}_m_s", v.astype(np.float32))
         columns |= {"segment": segment, "moving": moving}
         if "sigma_heading_relative_deg" in at:
-            columns["sigma_heading_relative_deg"] = np.sqrt(at["sigma_heading_relative_deg"]).astype(np.float32)
+            columns["sigma_heading_relative_deg"] = np.sqrt(at["sigma_heading_relative_deg"])
         return columns
 
 
@@ -115,9 +126,9 @@ def _sigmas(name: str, variances: Columns, known: Array | None = None) -> Column
     out: Columns = {}
     for i, axis in enumerate("xyz"):
         column = name.format(axis)
-        sigma = np.sqrt(variances[column]) if column in variances else np.asarray(np.nan)
-        shown = sigma if known is None else np.where(np.isnan(known[:, i]), np.nan, sigma)
-        out[column] = shown.astype(np.float32)
+        out[column] = np.sqrt(variances[column]) if column in variances else np.asarray(np.nan, dtype=np.float32)
+        if known is not None:
+            out[column] = np.where(np.isnan(known[:, i]), np.float32(np.nan), out[column])
     return out
 
 
@@ -139,14 +150,14 @@ def pass_columns(
         "stop_statistic": np.interp(t, log.imu.t, segmentation.statistic),
     }
     smooth_angles = rotation.roll_pitch_yaw(passes["smoothed"].q)
-    yaw = np.unwrap(smooth_angles[:, 2])
+    yaw = rotation.unwrapped(smooth_angles[:, 2])
     rows, cols = np.triu_indices(6)
     for name, p in passes.items():
         angles = rotation.roll_pitch_yaw(p.q)
         angles[:, 2] = yaw + rotation.wrap(angles[:, 2] - yaw)
         columns |= {f"{name}_q_{part}": np.ascontiguousarray(p.q[:, i]) for i, part in enumerate("wxyz")}
         columns |= {f"{name}_{part}_deg": np.degrees(angles[:, i]) for i, part in enumerate(("roll", "pitch", "yaw"))}
-        columns |= vector(f"{name}_sigma_att_{{}}_deg", np.degrees(p.sigma_n()))
+        columns |= vector(f"{name}_sigma_att_{{}}_deg", np.degrees(p.sigma_n))
         columns |= vector(f"{name}_gyro_bias_{{}}_rad_s", p.bias)
         columns |= vector(f"{name}_sigma_gyro_bias_{{}}_rad_s", np.sqrt(np.einsum("kii->ki", p.P)[:, 3:]))
         columns[f"{name}_covariance"] = np.ascontiguousarray(p.P[:, rows, cols])

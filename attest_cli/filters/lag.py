@@ -56,10 +56,17 @@ def _lag(smoothed: Smoothed, fixes: Fixes, world: World, settings: Settings, res
     sun_n = world.sun_n if world.sun_n is None or world.sun_n.ndim == 1 else world.sun_n[inside]
     world = World(world.gravity, sun_n, world.field_n)
 
+    turns = rotation.log_quaternion(rotation.multiply(rotation.conjugate(smoothed.q[:-1]), smoothed.q[1:]))
+
     def misfits(lags: Array) -> Array:
         each = max(ROWS // count, 1)  # lags that are tried at once: what is made on the way stays in cache
         parts = [lags[k : k + each] for k in range(0, len(lags), each)]
-        return np.concatenate([_misfits(smoothed, fixes, world, settings, residual, part) for part in parts])
+        return np.concatenate(
+            [
+                _misfits(_attitude(smoothed, turns, fixes.t - part[:, None]), fixes, world, settings, residual)
+                for part in parts
+            ]
+        )
 
     coarse = np.arange(-most, most + STEP_S / 2, STEP_S)
     best = float(coarse[int(np.argmin(misfits(coarse).sum(axis=1)))])
@@ -81,11 +88,10 @@ def _explains(late: Array, unmoved: Array, freedom: int) -> bool:
     return significant and gains.sum() - gains.max() > 0.0 and left < max(EXPLAINED * before, NOISE * freedom)
 
 
-def _misfits(
-    smoothed: Smoothed, fixes: Fixes, world: World, settings: Settings, residual: Residual, lags: Array
-) -> Array:
-    """Return the squared sigmas (l, k), capped, with each of the lags (l,) and the turn about the vertical for it."""
-    at = _attitude(smoothed, fixes.t - lags[:, None])
+def _misfits(at: Array, fixes: Fixes, world: World, settings: Settings, residual: Residual) -> Array:
+    """Return the squared sigmas (l, k), capped, at the attitudes (l, k, 4) of each lag, with the turn about the
+    vertical for it.
+    """
     r, slope, sigma = _sloped(fixes, at, world, settings, residual)
     at = rotation.multiply(rotation.exp_quaternion(_usual_turn(r, slope)[:, None, None] * [0.0, 0.0, 1.0]), at)
     r, slope, sigma = _sloped(fixes, at, world, settings, residual)
@@ -94,7 +100,7 @@ def _misfits(
         use = np.sum(r**2, axis=-1) < CAP * sigma**2 * d
         used = slope * use[..., None]
         power, along = np.einsum("lkd,lkd->l", used, slope), np.einsum("lkd,lkd->l", used, r)
-        turn = -np.divide(along, power, out=np.zeros(len(lags)), where=power > 0.0)
+        turn = -np.divide(along, power, out=np.zeros(len(at)), where=power > 0.0)
         r = r + slope * turn[:, None, None]
     return np.asarray(np.minimum(np.sum(r**2, axis=-1) / sigma**2, CAP * d))
 
@@ -122,12 +128,11 @@ def _usual_turn(r: Array, slope: Array) -> Array:
     return np.asarray(middle[:, 0] + np.nanmedian(np.where(steep, rotation.wrap(asked - middle), nothing), axis=1))
 
 
-def _attitude(smoothed: Smoothed, t: Array) -> Array:
-    """Return the attitude (..., 4) at instants, between the nodes."""
+def _attitude(smoothed: Smoothed, turns: Array, t: Array) -> Array:
+    """Return the attitude (..., 4) at instants, between the nodes, that ``turns`` (n - 1, 3) apart are."""
     k = np.clip(np.searchsorted(smoothed.t, t, side="right") - 1, 0, len(smoothed.t) - 2)
     share = np.clip((t - smoothed.t[k]) / (smoothed.t[k + 1] - smoothed.t[k]), 0.0, 1.0)
-    turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(smoothed.q[k]), smoothed.q[k + 1]))
-    return rotation.multiply(smoothed.q[k], rotation.exp_quaternion(turn * share[..., None]))
+    return rotation.multiply(smoothed.q[k], rotation.exp_quaternion(turns[k] * share[..., None]))
 
 
 def _sun(fixes: Fixes, q: Array, world: World, settings: Settings) -> tuple[Array, float]:

@@ -304,6 +304,14 @@ def wrap(angle: Array) -> Array:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
+def unwrapped(angle: Array) -> Array:
+    """Return angles (n,), rad, without jumps: whole turns are added so that each is within pi of the one before."""
+    turns = np.rint(np.diff(angle) / (2 * np.pi))
+    if not turns.any():
+        return angle
+    return angle - 2 * np.pi * np.concatenate([[0.0], np.cumsum(turns)])
+
+
 def chain(turns: Array, start: Array | None = None) -> Array:
     """Return the running products ``start * turns[0] * ... * turns[k]`` (n, 4); ``start`` defaults to no rotation."""
     now = (1.0, 0.0, 0.0, 0.0) if start is None else tuple(start.tolist())

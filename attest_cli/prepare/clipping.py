@@ -56,8 +56,8 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
     """
     found = []
     for axis, sign in ((axis, sign) for axis in range(values.shape[1]) for sign in (1.0, -1.0)):
-        level = float(max(values[:, axis].max(initial=0.0) if sign > 0.0 else -values[:, axis].min(initial=0.0), 0.0))
         y = sign * values[:, axis]
+        level = float(y.max(initial=0.0))
         at_end = piled(y)
         if at_end.any():
             found.append(_clipped(t, axis, sign * level, at_end))

@@ -43,7 +43,8 @@ def blank(t: Array, table: Array) -> Bools:
 
     Longer ones are stuck, or of a simulation that rests without gravity.
     """
-    zero: Bools = np.logical_and.reduce([column == 0.0 for column in table.T])
+    zero = table[:, 0] == 0.0
+    zero[zero] = np.all(table[zero] == 0.0, axis=1)
     edges = np.flatnonzero(np.diff(zero, prepend=False, append=False))
     first, last = edges[::2], edges[1::2] - 1
     if not edges.size or np.count_nonzero(zero) > FEW * len(t):

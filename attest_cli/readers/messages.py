@@ -72,7 +72,7 @@ def _imu_channels(
     present = [role for role in ("gyro", "accel") if not all(np.all(np.isnan(values[name])) for name in COLUMNS[role])]
     role = "imu" if len(present) != 1 else present[0]
     found = [_only(topic, kind, role, stamps_ns, values, units, COLUMNS[role])]
-    if np.any(np.nan_to_num(values["q_w"]) != 0.0):  # all zero: a driver without orientation
+    if np.any(np.abs(values["q_w"]) > 0.0):  # all zero: a driver without orientation
         name = f"{topic}#orientation"
         found.append(_only(name, kind, "", stamps_ns, values, units, COLUMNS["orientation"]))
     return found

@@ -181,9 +181,9 @@ def _median(values: Array, t: Array) -> float:
 
 
 def _statistics(run: Run) -> dict[str, Any]:
-    t, sigma = run.est.smoothed.t, np.degrees(run.passes["smoothed"].sigma_n())
+    t, sigma = run.est.smoothed.t, np.degrees(run.passes["smoothed"].sigma_n)
     heading, tilt = sigma[:, 2], np.hypot(sigma[:, 0], sigma[:, 1])
-    forward_heading = np.degrees(run.passes["forward"].sigma_n()[:, 2])
+    forward_heading = np.degrees(run.passes["forward"].sigma_n[:, 2])
     if run.est.moving.any():  # not while the filter finds its feet at the first stop
         forward_heading = forward_heading[run.est.moving]
     apart = _apart(run)
@@ -349,6 +349,6 @@ def _verdict(run: Run, checks: Sequence[Mapping[str, Any]]) -> str:
     if any(c["status"] == "FAIL" for c in checks):
         return "FAIL"
     limit = run.effective.settings.gate.max_sigma_attitude_deg
-    if limit is not None and np.degrees(np.nanmax(run.passes["smoothed"].sigma_n())) > limit:
+    if limit is not None and np.degrees(np.nanmax(run.passes["smoothed"].sigma_n)) > limit:
         return "FAIL"
     return "PASS" if all(c["status"] == "PASS" for c in checks) else "WARN"

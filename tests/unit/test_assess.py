@@ -50,7 +50,7 @@ def test_a_pass_turned_is_the_same_pass_in_other_axes(run: FilterRun) -> None:
     p, q_bv = Pass(run.q, run.bias, run.chain.P), rotation.exp_quaternion(np.array([0.3, -0.7, 2.0]))
     sure = np.zeros(3)
     turned = p.turned(q_bv, sure)
-    assert np.allclose(turned.sigma_n(), p.sigma_n(), rtol=1e-9)
+    assert np.allclose(turned.sigma_n, p.sigma_n, rtol=1e-9)
     R = rotation.matrix(q_bv)
     assert np.allclose(rotation.matrix(turned.q), rotation.matrix(p.q) @ R, atol=1e-12)
     assert np.allclose(turned.bias @ R.T, p.bias, atol=1e-15)
@@ -86,7 +86,7 @@ def test_passes_of_a_good_drive_agree_where_both_are_equally_sure(
 
 def test_a_disturbed_forward_pass_is_told_with_its_axis(work: Job, run: FilterRun, smoothed: Smoothed) -> None:
     p = passes(run, smoothed)
-    sigma = p["forward"].sigma_n()[:, 2]
+    sigma = p["forward"].sigma_n[:, 2]
     push = rotation.exp_quaternion(np.stack([0 * sigma, 0 * sigma, 8.0 * sigma], axis=1))
     p["forward"] = replace(p["forward"], q=rotation.multiply(push, p["forward"].q))
     rows = assess.segment_table(work.log, work.segmentation, run.t, p, None, work.noise, 2.0, relative=False)
@@ -135,7 +135,7 @@ def test_stop_advice_of_the_note_after_a_stop_of_ten_seconds() -> None:
 def test_advice_comes_when_the_forward_sigma_passes_the_threshold(
     work: Job, run: FilterRun, smoothed: Smoothed
 ) -> None:
-    sigma = np.degrees(Pass(run.q, run.bias, run.chain.P).sigma_n().max(axis=1))
+    sigma = np.degrees(Pass(run.q, run.bias, run.chain.P).sigma_n.max(axis=1))
     first = work.segmentation.motions[0]
     middle = sigma[(run.t > first.start) & (run.t < first.end)]
     threshold = float(np.quantile(middle, 0.5))

@@ -67,3 +67,11 @@ def test_without_a_position_its_columns_are_blank(track: tables.Track) -> None:
     for axis in "xyz":
         for name in (f"position_{axis}_m", f"velocity_{axis}_m_s", f"sigma_position_{axis}_m"):
             assert np.isnan(found[name]).all()
+
+
+def test_between_is_linear_between_knots_and_level_beyond_them(rng: np.random.Generator) -> None:
+    knots, t = np.sort(rng.uniform(0.0, 9.0, 40)), np.sort(rng.uniform(-1.0, 10.0, 500))
+    values = rng.normal(size=(3, 40)).astype(np.float32)
+    for at in (t, knots):
+        exact = [np.interp(at, knots, row) for row in values]
+        assert tables.between(knots, values, at) == pytest.approx(np.array(exact), abs=1e-5)

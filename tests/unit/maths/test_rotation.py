@@ -157,6 +157,14 @@ def test_wrap_leaves_the_angle_on_the_circle(angle: float) -> None:
     assert np.sin(found - angle) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_unwrapped_takes_the_nearest_of_all_whole_turns(rng: np.random.Generator) -> None:
+    course = np.cumsum(rng.uniform(-3.1, 3.1, 500)) + 0.3
+    wrapped = rotation.wrap(course)
+    assert np.max(np.abs(np.diff(wrapped))) > 4.0
+    assert rotation.unwrapped(wrapped) == pytest.approx(np.unwrap(wrapped), abs=1e-10)
+    assert rotation.unwrapped(wrapped[:1]) == wrapped[:1]
+
+
 def test_long_arrays_give_what_their_rows_give() -> None:
     rng = np.random.default_rng(8)
     n = 2 * rotation.ROWS + 17
