@@ -59,7 +59,8 @@ class Motion:
         """Return the variance, rad^2, of the angle about one axis by which gravity is missed: of the gyro's noise, its
         walk, and the noise of a bias between those of two stops.
         """
-        seconds = np.add.reduceat(self.turns, np.arange(0, len(self.turns), round(1.0 / STEP_S)))
+        a_second = max(1, round(len(self.turns) / self.span))  # a slow IMU has less than one sample a step
+        seconds = np.add.reduceat(self.turns, np.arange(0, len(self.turns), a_second))
         own = self.span * float(motion_density(noise, seconds).mean()) + noise.n_w * self.span**3 / 3.0
         return own + noise.n_r * float(np.sum(1.0 / self.stood)) * (0.5 * self.span) ** 2
 

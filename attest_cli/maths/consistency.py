@@ -71,9 +71,13 @@ def mean_nis(mean: float, used: int, dof: int) -> Literal["smaller", "fits", "la
 
 def agree(apart: Sequence[float]) -> bool:
     """Return whether separations (m,) in sigmas are those of two passes whose sigma holds: their mean square is judged
-    as that of innovations is.
+    as that of innovations is, and so is the largest of them.
     """
-    return not len(apart) or mean_nis(float(np.mean(np.square(apart))), len(apart), 1) != "larger"
+    squares = np.square(apart)
+    if not squares.size:
+        return True
+    by_chance = squares.size * survival(float(squares.max()) / SLIGHT, 1) > BAND
+    return by_chance and mean_nis(float(squares.mean()), squares.size, 1) != "larger"
 
 
 def lasting(z: Array) -> tuple[float, int]:

@@ -254,10 +254,14 @@ def _gps(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:
     height = _columns(channel, ("altitude",), "m") if has_height else np.full((channel.stamps_ns.size, 1), np.nan)
     if "gps_sigma_m" not in channel.values:
         return np.concatenate([place, height], axis=1), None
-    level = channel.values["gps_sigma_m"]
-    up = channel.values.get("gps_sigma_up_m", level)
+    level, up = (_stated(channel.values.get(name, np.zeros(1))) for name in ("gps_sigma_m", "gps_sigma_up_m"))
     sigma = np.stack([level, level, np.where(np.isfinite(up), up, level)], axis=1)
     return np.concatenate([place, height], axis=1), sigma
+
+
+def _stated(sigma: Array) -> Array:
+    """Return sigmas, NaN where they are zero or negative: so receivers say that they know none."""
+    return np.where(sigma > 0.0, sigma, np.nan)
 
 
 def _gps_velocity(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001
@@ -269,8 +273,7 @@ def _gps_velocity(channel: Channel, settings: Settings, warnings: list[Warn]) ->
             values[:, 2:] = sign * _columns(channel, (name,), "m/s")
     if "velocity_sigma" not in channel.values:
         return values, None
-    sigma = _columns(channel, ("velocity_sigma",), "m/s")  # zero and negative ones are how receivers say: none
-    return values, np.repeat(np.where(sigma > 0.0, sigma, np.nan), 3, axis=1)
+    return values, np.repeat(_stated(_columns(channel, ("velocity_sigma",), "m/s")), 3, axis=1)
 
 
 def _height(channel: Channel, settings: Settings, warnings: list[Warn]) -> Values:  # noqa: ARG001

@@ -63,10 +63,13 @@ def _shaking(values: Array, first: Ints) -> Bools | None:
 
 def _pairs(at: list[Array], begins: list[Bools]) -> tuple[Array, Bools]:
     """Return by how much the edges of the second come late after those of the first (k,), and which are beginnings."""
-    late, which = list[float](), list[bool]()
-    for when, way in zip(at[0].tolist(), begins[0].tolist(), strict=True):
-        alike = at[1][begins[1] == way] - when
-        if len(alike) and np.abs(alike).min() < REACH_S:
-            late.append(float(alike[np.argmin(np.abs(alike))]))
-            which.append(bool(way))
-    return np.array(late), np.array(which, dtype=np.bool_)
+    late, which = [np.empty(0)], [np.empty(0, dtype=np.bool_)]
+    for way in (True, False):
+        when, alike = (np.append(x[b == way], np.inf) for x, b in zip(at, begins, strict=True))
+        after = np.searchsorted(alike, when[:-1])
+        apart = np.stack([alike[after], alike[np.maximum(after - 1, 0)]]) - when[:-1]
+        nearest = np.where(np.abs(apart[0]) < np.abs(apart[1]), *apart)
+        near = nearest[np.abs(nearest) < REACH_S]
+        late.append(near)
+        which.append(np.full(near.size, way))
+    return np.concatenate(late), np.concatenate(which)

@@ -21,7 +21,7 @@ def jittered(t: Array, gyro: Array) -> Array | None:
     even, or where the values (n, 3) change with the length of the step: then the samples themselves scatter.
     """
     step = np.diff(t)
-    period = float(np.median(step))
+    period = float(np.partition(step, step.size // 2)[step.size // 2])  # one that occurs: not between steps in pairs
     single = np.abs(step / period - 1.0) < SINGLE
     sigma = float(np.std(step[single])) / np.sqrt(2.0)
     if sigma < LEAST * period or _follows(step / period, single, gyro):

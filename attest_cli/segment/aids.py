@@ -15,6 +15,7 @@ from .stillness import CHI2_3, stretches
 
 STILL_M_S = 0.02  # wheels slower than this are not surely turning, however good the odometry
 MOVES_RAD, MOVES_S, SHOWN = np.radians(2.0), 20.0, 3  # a hand-made edge is a little off; at a time; stops told
+HOLE = 5.0  # periods: nobody knows what turned in so long a step
 ODOMETRY_WINDOW_S, ODOMETRY_LAG_S = 2.0, 0.5
 
 
@@ -74,13 +75,15 @@ def stops_that_move(imu: Imu, segments: Sequence[Segment]) -> tuple[Warn, ...]:
 
 
 def _turn(imu: Imu, edges: Array) -> float:
-    """Return the largest turn, rad, between two edges (k,) s, in which a bias hardly walks."""
+    """Return the largest turn, rad, between two edges (k,) s, in which a bias hardly walks; none is known in a hole."""
     worst = 0.0
     for lo, hi in itertools.pairwise(np.searchsorted(imu.t, edges).tolist()):
         if hi - lo < 3:
             continue
         rate = imu.gyro_b[lo:hi] - np.median(imu.gyro_b[lo:hi], axis=0)
-        turned = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.t[lo:hi])[:, None], axis=0)
+        step = np.diff(imu.t[lo:hi])
+        step[step > HOLE * np.median(step)] = 0.0
+        turned = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step[:, None], axis=0)
         worst = max(worst, float(np.linalg.norm(np.ptp(turned, axis=0))))
     return worst
 

@@ -99,8 +99,9 @@ def test_damaged_numbers_of_a_sensor_are_left_out_in_one_line(role: str, columns
     assert not np.any(np.abs(log.fixes[role].values) > 1e12)
 
 
-def test_a_sigma_that_is_blank_in_every_row_is_none() -> None:
-    column = {"latitude": np.full(100, 46.5), "longitude": np.full(100, 6.6), "gps_sigma_m": np.full(100, np.nan)}
+@pytest.mark.parametrize("unknown", [np.nan, 0.0, -1.0])
+def test_a_sigma_that_is_unknown_in_every_row_is_none(unknown: float) -> None:
+    column = {"latitude": np.full(100, 46.5), "longitude": np.full(100, 6.6), "gps_sigma_m": np.full(100, unknown)}
     column["longitude"] = 6.6 + np.arange(100) * 1e-5
     channel = Channel("/gps", "columns", "gps", T0 + np.arange(100) * 100_000_000, column, {})
     assert log_of(imu(), channel).fixes["gps"].sigma is None

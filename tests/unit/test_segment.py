@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from attest_cli.errors import AttestError
 from attest_cli.prepare import prepare
 from attest_cli.readers import read
-from attest_cli.records import Fixes, Imu, Log, Segmentation
+from attest_cli.records import Fixes, Imu, Log, Segment, Segmentation
 from attest_cli.segment import find_segments
-from attest_cli.segment.aids import read_stops, wheels_turn
+from attest_cli.segment.aids import read_stops, stops_that_move, wheels_turn
 from attest_cli.segment.detector import as_segments, tidy
 from attest_cli.segment.stillness import calm_spread, gap_edges, sensor_noise, window_moments
 from attest_cli.settings import Settings
@@ -244,6 +244,17 @@ def test_a_stop_given_by_hand_that_turns_is_told(tmp_path: Path) -> None:
     assert told[0].message.startswith("1 of the 3 stops given by hand turn")
     path.write_text("start_s,end_s\n" + "".join(f"{a - 0.2},{b + 0.2}\n" for a, b in true[1:-1]))
     assert find_segments(log, with_stops(settings, file=path)).warnings == ()
+
+
+def test_a_hole_in_a_stop_given_by_hand_turns_nothing(rng: np.random.Generator) -> None:
+    t = np.arange(0.0, 40.0, 0.01)
+    t = t[(t < 10.0) | (t > 26.5)]
+    stop = Segment(index=1, motion=False, start=0.0, end=40.0, first=0, last=len(t), used_start=0.5, used_end=39.5)
+    for _ in range(20):
+        imu = Imu(t, rng.normal(0.0, 3e-3, (len(t), 3)), np.tile([0.0, 0.0, 9.8], (len(t), 1)))
+        assert stops_that_move(imu, [stop]) == ()
+    imu.gyro_b[1500:1600, 2] += np.radians(5.0)  # a turn beside the hole is one
+    assert [w.code for w in stops_that_move(imu, [stop])] == ["stop-moves"]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from .aids import Place
 from .states import State
 
 GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # where nothing is stated
+LEAST_SIGMA_M = 1e-3  # no receiver is better, whatever it states
 FAST_M_S = 100.0  # a vehicle is hardly faster
 ON_NODE_S = 2e-3  # a fix that lies further from every node is left out
 OUTLIER_FIXES, OUTLIER_SIGMAS = 5, 30.0  # a fix is held against the median of so many
@@ -65,7 +66,9 @@ def possible(drive: Drive, role: str) -> tuple[Bools, Array, Array]:
     known: Bools = np.asarray(np.isfinite(fixes.values[:, :2]).all(axis=1))
     told = getattr(drive.settings, role).sigma_m
     default = told or (POSITION_SIGMA_M if role == "position" else GPS_SIGMA_M)
-    sigma = np.full((len(known), 3), default) if fixes.sigma is None or told else np.maximum(fixes.sigma, 1e-3)
+    sigma = np.full((len(known), 3), default)
+    if fixes.sigma is not None and not told:
+        sigma = np.where(np.isfinite(fixes.sigma), np.maximum(fixes.sigma, LEAST_SIGMA_M), default)
     if not known.any():
         return known, np.full((len(known), 3), np.nan), sigma
     middle = np.median(fixes.values[known], axis=0)

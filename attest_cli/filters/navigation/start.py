@@ -87,7 +87,8 @@ def _by_imu(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) -> Paths 
     seen = _second(when, place.place_n[rows, :2])
     felt = _second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1))
     gap = np.diff(when)
-    near = np.maximum(gap[1:], gap[:-1]) <= HOLE * np.median(gap)
+    longer = np.maximum(gap[1:], gap[:-1])
+    near = longer <= HOLE * np.median(longer)
     return when[1:-1][near], seen[near], felt[near]
 
 

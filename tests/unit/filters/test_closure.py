@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from support.drives import Job, simulated
 
 from attest_cli.filters import Drive
-from attest_cli.filters.closure import doubts
+from attest_cli.filters.closure import Motion, doubts
 from attest_cli.maths.axes import signed_permutations
+from attest_cli.nodes.noise import Noise
 from attest_cli.records import Log, Warn
 from attest_cli.simulate import RoverOptions
 
@@ -50,6 +51,18 @@ def test_a_scale_is_told_with_its_value(job: Job) -> None:
 
 def test_without_a_doubt_a_small_opening_is_left_alone(job: Job) -> None:
     assert told(job, 1.02 * np.eye(3), raised=False) == []
+
+
+def test_a_slow_imu_opens_no_wider_for_its_rate() -> None:
+    def opening(rate_hz: float) -> float:
+        step = max(0.04, 1.0 / rate_hz)  # of turns that are summed
+        turns = np.tile([0.0, 0.0, 0.5 * step], (round(60.0 / step), 1))
+        up = np.array([0.0, 0.0, 9.8])
+        return Motion(60.0, np.array([10.0, 10.0]), turns, up, up).variance(
+            Noise(1e-5, 1e-7, 1e-3, {}, gyro_scale=3e-3)
+        )
+
+    assert [opening(rate) for rate in (25.0, 10.0, 5.0)] == pytest.approx([opening(100.0)] * 3, rel=1e-6)
 
 
 def test_one_motion_tells_nothing(job: Job) -> None:

@@ -15,6 +15,7 @@ from attest_cli import estimate
 from attest_cli.filters import Drive, navigation
 from attest_cli.filters.choice import choose
 from attest_cli.filters.navigation.aids import Place, student
+from attest_cli.filters.navigation.fixes import GPS_SIGMA_M, possible
 from attest_cli.filters.navigation.start import heading_offset
 from attest_cli.maths import kalman, rotation
 from attest_cli.nodes.noise import find_noise
@@ -238,3 +239,30 @@ def test_students_weights_spare_what_fits_and_fade_what_does_not() -> None:
     assert near == 1.0
     assert far == pytest.approx((4 + 3) / (4 + 900))
     assert np.all(student(r, np.ones_like(r), robust=False) == 1.0)
+
+
+def test_fixes_in_pairs_tell_the_heading_as_even_ones_do(rng: np.random.Generator) -> None:
+    """One and ten seconds apart in turn: no gap is the usual one."""
+    _, log, _, _ = drive(seed=31, gps=True)
+    t = np.arange(0.0, log.imu.t[-1], 0.1)
+    when = np.sort(np.concatenate([np.arange(0.0, t[-1] - 2.0, 11.0), np.arange(1.0, t[-1] - 2.0, 11.0)]))
+    place = Place(
+        np.searchsorted(t, when), when, rng.normal(size=(len(when), 3)), np.ones((len(when), 3)), np.zeros(3), "gps"
+    )
+    turn, sigma = heading_offset(log.imu, t, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)), np.zeros(3), place)
+    assert np.isfinite(turn).all()
+    assert 0.0 < sigma <= np.pi
+
+
+@pytest.mark.parametrize("unknown", [slice(None, None, 2), slice(None)])
+def test_fixes_without_a_sigma_have_the_usual_one(unknown: slice) -> None:
+    _, log, segmentation, settings = drive(seed=31, gps=True)
+    fixes = log.fixes["gps"]
+    sigma = np.ones((len(fixes.t), 3))
+    sigma[unknown] = np.nan
+    told = replace(log, fixes={**log.fixes, "gps": replace(fixes, sigma=sigma)})
+    noise = find_noise(told, segmentation, settings)
+    known, _, used = possible(Drive(told, segmentation, find_world(told, settings), noise, Settings()), "gps")
+    assert known.all()
+    assert np.all(used[unknown] == GPS_SIGMA_M)
+    assert np.all(used[np.isfinite(sigma)] == 1.0)

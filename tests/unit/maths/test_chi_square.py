@@ -41,4 +41,6 @@ def test_passes_agree_as_chance_has_it(rng: np.random.Generator) -> None:
     assert consistency.agree([])
     assert consistency.agree(1.1 * rng.normal(size=4000))  # sure, and of no consequence
     assert not consistency.agree([2.1, 0.3, -6.0, 0.1])
+    for n, far in ((6, 5.6), (18, 6.8), (60, 9.0)):  # of all others nothing is to be said
+        assert not consistency.agree([far, *np.sign(rng.normal(size=n - 1))])
     assert not consistency.agree(2.0 * rng.normal(size=40))

@@ -43,3 +43,9 @@ def test_stamps_that_scatter_late_in_a_long_log_are_judged_there(rate: float, rn
     late = even[-1] + np.cumsum(1.0 / rate + rng.uniform(-0.2, 0.2, 30_000) / rate)
     t = np.concatenate([even, late])
     assert jittered(t, shaking(np.arange(len(t)) / rate, rng, 2.0)) is not None
+
+
+@pytest.mark.parametrize("steps", [(0.001, 0.009), (0.001, 0.001, 0.001, 0.037)])
+def test_steps_of_two_sizes_are_no_scatter(steps: tuple[float, ...], rng: np.random.Generator) -> None:
+    t = np.append(0.0, np.cumsum(np.tile(steps, 400)))
+    assert jittered(t, rng.normal(0.0, 1e-3, (len(t), 3))) is None
