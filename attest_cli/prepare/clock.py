@@ -10,6 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from ..errors import AttestError
 from ..records import Array, Bools, Ints, Warn
 from .epochs import HOUR_S, whole_hours
+from .lost import changes
 
 STEP_BACK_NS = 500_000_000
 """A larger step back is another clock, not rows in a wrong order."""
@@ -21,6 +22,9 @@ SHARED = 1.5
 """Stamps further apart than the batch, shared by more rows than this on average, have no resolution."""
 TWIN, MANY_TWINS = 0.01, 0.25
 """Of the usual step: so near a row of the same values is a repeat. As near as the second, where that share repeats."""
+IN_BURST, BURST, PAUSED = 0.45, 0.5, 0.5  # share of steps; of their mean, which those within bursts stay below; of time
+FEW_BURSTS, OF_ITSELF = 50, 2.0  # too few to tell; times the change within a burst: over a pause of the sensor's own
+STAMP_EACH = "let the driver stamp every sample"
 MANY_SHARED = 20.0
 """The same before repeated rows are dropped, each of which is held against all others of its stamp."""
 
@@ -56,7 +60,12 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
     if np.all(stamps_ns[1:] > stamps_ns[:-1]):
         keep = _no_twins(stamps_ns, values, rows) if strict else None
         if keep is None or keep.all():
-            return Ordered(rows, stamps_ns, ())
+            arrived = _of_bursts(stamps_ns, values) if strict else None
+            if arrived is None:
+                return Ordered(rows, stamps_ns, ())
+            evenly, spread = _spread(arrived)
+            message = f"{name}: {spread} rows came in bursts: spread over the interval of their burst"
+            return Ordered(rows, evenly, (Warn("batched-stamps", message, STAMP_EACH),))
         return Ordered(rows[keep], stamps_ns[keep], (_told_repeats(name, int(np.count_nonzero(~keep))),))
     latest = np.maximum.accumulate(stamps_ns)
     back = latest - stamps_ns  # against the maximum so far: 10, 5, 6, 11 has two rows out of order
@@ -81,7 +90,7 @@ def in_order(name: str, stamps_ns: Ints, values: Array, t0_ns: int, *, strict: b
     ordered, spread = _spread(found) if strict else (found, 0)
     if spread:
         message = f"{name}: {spread} rows share their stamp with others: spread over the interval of their batch"
-        warnings.append(Warn("batched-stamps", message, "let the driver stamp every sample"))
+        warnings.append(Warn("batched-stamps", message, STAMP_EACH))
     return Ordered(rows, ordered, tuple(warnings))
 
 
@@ -172,6 +181,32 @@ def _no_twins(stamps_ns: Ints, values: Array, rows: Ints) -> Bools:
 def _told_repeats(name: str, count: int) -> Warn:
     hint = "is the sensor published or logged twice?"
     return Warn("duplicate-rows", f"{name}: {count} rows repeat stamp and values of another: dropped", hint)
+
+
+def _of_bursts(stamps_ns: Ints, values: Array) -> Ints | None:
+    """Return the stamps with that of the last row of a burst for all of it; None where rows do not come in bursts.
+
+    Then most steps are far shorter than their mean, and pauses hold most of the time. A sensor that pauses itself
+    changes more over a pause than from row to row; one whose rows are held back on the way does not.
+    """
+    n = stamps_ns.size
+    if n < FEW_BURSTS:
+        return None
+    step = np.diff(stamps_ns)
+    short = np.partition(step, int(IN_BURST * n))[int(IN_BURST * n)]
+    if short > BURST * (stamps_ns[-1] - stamps_ns[0]) / (n - 1):
+        return None  # of nearly every log
+    near = step < LONGEST_BATCH_NS
+    mean = float(step[near].mean()) if near.any() else 0.0
+    pause = near & (step > mean)
+    if short > BURST * mean or step[pause].sum() < PAUSED * step[near].sum():
+        return None
+    before = np.flatnonzero(pause[1:-1] & ~pause[2:] & ~pause[:-2])
+    times, weight, _ = changes(np.diff(values, axis=0), before)
+    if before.size < FEW_BURSTS or float(weight @ times) > OF_ITSELF * float(weight.sum()):
+        return None
+    last = np.append(np.flatnonzero(step > mean), n - 1)
+    return stamps_ns[last[np.searchsorted(last, np.arange(n))]]
 
 
 def _spread(stamps_ns: Ints) -> tuple[Ints, int]:

@@ -89,6 +89,26 @@ def test_a_usb_batch_is_spread_over_its_interval() -> None:
     assert [w.code for w in ordered.warnings] == ["batched-stamps"]
 
 
+@pytest.mark.parametrize("steps_ms", [(1, 1, 1, 37), (1, 19), (2, 2, 2, 2, 2, 2, 2, 2, 2, 62)])
+def test_a_burst_with_stamps_of_its_own_is_spread_over_its_interval(steps_ms: tuple[int, ...]) -> None:
+    size, period = len(steps_ms), sum(steps_ms) // len(steps_ms) * MS
+    arrived = T0 + np.cumsum(np.tile(steps_ms, 60)) * MS
+    ordered = in_order("log", arrived, values(60 * size), T0)
+    assert [w.code for w in ordered.warnings] == ["batched-stamps"]
+    inner = np.diff(ordered.stamps_ns)[size:-size]
+    assert np.abs(inner - period).max() <= 2 * MS
+    pausing = (arrived - T0)[:, None] * np.array(
+        [1e-7, 2e-7]
+    )  # the sensor itself samples so: it changes over the pause
+    assert in_order("log", arrived, pausing, T0).warnings == ()
+
+
+@pytest.mark.parametrize("pause_ms", [600, 30_000])
+def test_a_log_that_is_paused_has_no_bursts(pause_ms: int) -> None:
+    stamps = T0 + np.cumsum(np.tile([5] * 80 + [pause_ms], 30)) * MS
+    assert in_order("log", stamps, values(len(stamps)), T0).warnings == ()
+
+
 def test_one_sample_with_the_stamp_of_its_neighbour_goes_where_the_hole_is() -> None:
     stamps_ns = clean()
     stamps_ns[41] = stamps_ns[40]
