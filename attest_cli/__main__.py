@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Sequence
 from types import FrameType
 
-from .errors import AttestError
+from .errors import AttestError, UsageError
 
 REFUSED, USAGE = 1, 2
 RETRY_S = 0.01  # after a signal that came while a library was loaded
@@ -53,6 +53,7 @@ def run(arguments: Sequence[str]) -> int:
         return stop.exit_code
     except AttestError as fault:
         _line(str(fault))
+        return USAGE if isinstance(fault, UsageError) else REFUSED
     except BrokenPipeError:
         _finish(REFUSED)
     except MemoryError:

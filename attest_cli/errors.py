@@ -18,3 +18,7 @@ class AttestError(Exception):
         self.message = message
         self.hint = hint
         super().__init__(f"{message}; {hint}" if hint else message)
+
+
+class UsageError(AttestError):
+    """A fault of the command line: exit code 2."""

@@ -349,13 +349,13 @@ def evaluate(
     from .readers.reference import read_judged, read_poses
     from .report.evaluation import told, tracked
 
-    folder = output or (result if result.is_dir() else result.parent)
-    for name in (EVALUATION_PAGE, EVALUATION):
-        check_output(folder / name, overwrite=overwrite, inputs=(result, reference))
     drive, poses = read_judged(result)
     if "smoothed_covariance" in drive.passes:
         poses = replace(poses, claims=claims.of_passes(drive.passes, poses.claims))
     by = read_poses(reference, channel)
+    folder = output or (result if result.is_dir() else result.parent)
+    for name in (EVALUATION_PAGE, EVALUATION):
+        check_output(folder / name, overwrite=overwrite, inputs=(result, reference))
     found = judge(poses, by, Options(**options))
     page = draw(found, drive, by.source, theme or "light")
     track = result / poses.source if result.is_dir() else result

@@ -111,7 +111,10 @@ def _is_number(text: str) -> bool:
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG", readable=False, callback=_once, help="CSV, Parquet or MCAP; several are the files of one drive."
+        metavar="LOG",
+        readable=False,
+        callback=_once,
+        help="CSV, Parquet, MCAP, ROS bag or ULog; several are the files of one drive.",
     ),
 ]
 LogsOrOnly = Annotated[

@@ -63,7 +63,8 @@ def _flat(found: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str
             for number, item in enumerate(value, start=1):
                 yield f"{prefix}{name} {number}", ", ".join(f"{k} {v}" for k, v in item.items() if v not in {None, ""})
         elif value not in ("", None, [], ()):
-            yield f"{prefix}{name}", ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+            parts = value if isinstance(value, list | tuple) else [value]
+            yield f"{prefix}{name}", ", ".join(f"{x:.6g}" if isinstance(x, float) else str(x) for x in parts)
 
 
 def _tell(report: Mapping[str, Any], folder: Path, console: Console) -> None:

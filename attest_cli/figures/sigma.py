@@ -15,6 +15,7 @@ from .words import clock, percent, two_digits
 
 PASSES = ("backward", "forward", "smoothed")
 DECADES = 5.0  # a log axis never reaches further below its top
+VAGUE_DEG = 10.0  # nothing stays below a sigma as large
 
 
 def draw(result: Result, theme: str = "light") -> Page | None:
@@ -92,10 +93,11 @@ def _titles(drive: Drive) -> list[str]:
         return ["Smoothed σ is zero all along"]
     if not math.isfinite(most):
         return ["Smoothed σ is not known"]
-    below = f"{name} σ stays below {two_digits(most, up=True)}°"
+    kept = "stays below" if most <= VAGUE_DEG else "reaches"
+    below = f"{name} σ {kept} {two_digits(most, up=True)}°"
     if drive.failed:
         return [f"Claimed {below}, but a check failed"]
-    head = f"smoothing keeps {below.replace('stays ', '')}" if drive.two_passes else below
+    head = f"smoothing keeps {below.replace('stays ', '')}" if drive.two_passes and most <= VAGUE_DEG else below
     head = head[0].upper() + head[1:] if drive.stops else f"No stop found: {head}"
     if not drive.two_passes:
         return [head]

@@ -206,7 +206,7 @@ def _of_bursts(stamps_ns: Ints, values: Array) -> Ints | None:
     if before.size < FEW_BURSTS or float(weight @ times) > OF_ITSELF * float(weight.sum()):
         return None
     last = np.append(np.flatnonzero(step > mean), n - 1)
-    return stamps_ns[last[np.searchsorted(last, np.arange(n))]]
+    return np.asarray(stamps_ns[last[np.searchsorted(last, np.arange(n))]])
 
 
 def _spread(stamps_ns: Ints) -> tuple[Ints, int]:

@@ -98,7 +98,10 @@ def read_judged(path: Path) -> tuple[Result, Poses]:
     A track alone comes with a ``Result`` that holds what a page needs: its name, its times, its segments.
     """
     if not path.is_dir():
-        poses = read_poses(path)
+        try:
+            poses = read_poses(path)
+        except AttestError as fault:
+            raise AttestError(fault.message, "the result is the folder that attest smooth wrote, or a track") from None
         return _bare(path, poses), poses
     result = read_result(path)
     track = next((path / f"track.{name}" for name in TRACKS if (path / f"track.{name}").is_file()), None)

@@ -282,7 +282,7 @@ def _separation_check(apart: Sequence[float], s: Mapping[str, Any]) -> list[dict
 def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
     lines = []
     for role, s in _innovations(found).items():
-        name = role.replace("_", " ")
+        name = {"gps": "GPS", "gps_velocity": "GPS velocity"}.get(role, role.replace("_", " "))
         if s["rejected"] > (role == "zero_rate"):  # one may be the edge of a stop
             status = rejection_status(s["rejected"], s["count"])
             fact = f"{s['rejected']} of {s['count']} {name} measurements rejected"
@@ -293,7 +293,7 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
             continue
         judged = s["mean_nis"], s["used"], s["dof"]
         status = noise_status(*judged)
-        fact = f"{name.capitalize()} innovations {BY_NIS[mean_nis(*judged)]} their noise"
+        fact = f"{name[0].upper()}{name[1:]} innovations {BY_NIS[mean_nis(*judged)]} their noise"
         detail = f"mean NIS {s['mean_nis']:.2g} for {_degrees(s['dof'])}"
         lines.append(_check(f"innovations-{role}", status == "PASS", fact, detail, fatal=status == "FAIL"))
         if role in HEADING_SENSORS:

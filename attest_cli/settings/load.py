@@ -12,11 +12,12 @@ from typing import Any, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from ..errors import AttestError
+from ..errors import AttestError, UsageError
 from .models import Role, Settings
 from .quantities import Section
 
 CONFIG_NAME = "attest.toml"
+COMMAND_LINE = "command line"  # as a source of settings
 _MAX_BYTES = 1_000_000  # no settings file of a person is larger
 
 Table = dict[str, Any]
@@ -83,7 +84,7 @@ def load_settings(
     beside = [log.parent / CONFIG_NAME] if log is not None and (log.parent / CONFIG_NAME).is_file() else []
     files = [*beside, config] if config is not None else beside
     layers = [_Layer(read_toml(path), str(path), path.parent) for path in files]
-    layers.append(_Layer(_nested(overrides), "command line", Path()))
+    layers.append(_Layer(_nested(overrides), COMMAND_LINE, Path()))
     merged: Table = {}
     sources: dict[str, str] = {}
     for layer in (part for given in layers for part in _prepared(given)):
@@ -123,7 +124,8 @@ def _checked(table: Table, source: str) -> Settings:
         faults = fault.errors()
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         message, hint = _told(faults[0])
-        raise AttestError(f"{source}: {message}{more}", hint) from None
+        fault_of = UsageError if source == COMMAND_LINE else AttestError
+        raise fault_of(f"{source}: {message}{more}", hint) from None
 
 
 def _told(fault: ErrorDetails) -> tuple[str, str]:

@@ -89,6 +89,9 @@ def test_files_words_and_schema(result: Path, samples: Path, root: Path, attest:
         assert words in done.err, words
     again = attest("evaluate", folder, "--reference", samples / "rover.truth.parquet")
     again.refused("exists already", "--overwrite")
+    attest("evaluate", folder, "--reference", tmp_path / "none.tum").refused("none.tum", "no such file")
+    of_log = attest("evaluate", samples / "rover.mcap", "--reference", samples / "rover.truth.parquet")
+    of_log.refused("rover.mcap", "the result is the folder that attest smooth wrote")
     quiet = attest("evaluate", folder, "--reference", samples / "rover.truth.parquet", "--overwrite", "-q")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
