@@ -2,11 +2,12 @@
 
 KITTI (car, 1 Hz GPS), EuRoC MH_01 (drone, tracker at 20 Hz), Husky (rover, wheels and GPS at 2.5 Hz); ../shared/data.
 RMS of the horizontal error of the predictions, m, forward only and smoothed; share of withheld fixes inside the 95 %
-region of the prediction; what was learnt. Settings are the defaults. Outages begin 30, 40 and 50 s into the log, or as
-``--begin`` says, and come again 40 s after their end, one run each, pooled: where they lie matters as much as anything.
+region of the prediction; what was learnt. Settings are the defaults. Outages begin 10, 20, 30, 40 and 50 s into the
+log, or as ``--begin`` says, and come again 40 s after their end, one run each, pooled: where they lie matters as much
+as anything.
 "none": no fixes at all, yaw and translation fitted to them afterwards.
 
-Run: PYTHONPATH=. python benchmarks/accuracy/positions.py [--only KITTI] [--cases half,10,30] [--begin 10,20,30,40,50]
+Run: PYTHONPATH=. python benchmarks/accuracy/positions.py [--only KITTI] [--cases half,10,30] [--begin 30,40]
     [--picture FILE.png]
 """
 
@@ -39,7 +40,7 @@ from attest_cli.world import find_world
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
-BETWEEN_S, BEGIN_S = 40.0, (30.0, 40.0, 50.0)  # fixes between outages, and before the first
+BETWEEN_S, BEGIN_S = 40.0, (10.0, 20.0, 30.0, 40.0, 50.0)  # fixes between outages, and before the first
 REGION = float(chi2.isf(0.05, 2))
 
 
@@ -174,7 +175,7 @@ def picture(path: Path) -> None:
     ):
         load, role = LOGS[name]
         settings = Settings.model_validate({"smoothing": {"filter": "navigation"}})
-        _, found = hiding(drive_of(load(settings), settings), role, "30", BEGIN_S[1])
+        _, found = hiding(drive_of(load(settings), settings), role, "30", BEGIN_S[3])
         breaks = np.flatnonzero(np.diff(found.t) > BETWEEN_S / 2) + 1  # no line from outage to outage
         t, *errors = (
             np.insert(values, breaks, np.nan)
