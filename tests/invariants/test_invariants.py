@@ -45,12 +45,26 @@ def run(log: Log, options: Settings) -> tuple[Estimate, Array]:
     return est, est.q
 
 
+@pytest.fixture(scope="module")
+def plain(job: tuple[Log, Settings]) -> tuple[Estimate, Array]:
+    """The job as it is; only to be read."""
+    return run(*job)
+
+
+@pytest.fixture(scope="module")
+def unshifted(simulation: Simulation) -> tuple[Log, Estimate, Array]:
+    """The drive under its own settings; only to be read."""
+    options = effective(simulation, {})
+    log = prepare([simulation.log], options)
+    return log, *run(log, options)
+
+
 def with_fixes(log: Log, role: str, change: Callable[[Array], Array]) -> Log:
     f = log.fixes[role]
     return replace(log, fixes={**log.fixes, role: Fixes(role, f.channel, f.t, change(f.values), f.sigma)})
 
 
-def test_a_turn_of_the_world_turns_the_result(job: tuple[Log, Settings]) -> None:
+def test_a_turn_of_the_world_turns_the_result(job: tuple[Log, Settings], plain: tuple[Estimate, Array]) -> None:
     """References turned about the vertical: the track turns with them, its body-axes covariances stay."""
     log, options = job
     Rz = Rotation.from_euler("z", YAW).as_matrix()
@@ -61,7 +75,7 @@ def test_a_turn_of_the_world_turns_the_result(job: tuple[Log, Settings]) -> None
         }
     )
     turned = with_fixes(log, "compass", lambda heading: heading - YAW)
-    before, at_rate = run(log, options)
+    before, at_rate = plain
     after, at_rate_after = run(turned, options.model_copy(update={"world": world}))
     q_yaw = rotation.exp_quaternion(np.array([0.0, 0.0, YAW]))
     assert degrees_apart(rotation.multiply(q_yaw, at_rate), at_rate_after) < 1e-9
@@ -102,24 +116,25 @@ def shifted(recording: Recording, shift_ns: int) -> Recording:
 @pytest.mark.parametrize(
     "shift_ns", [-1_780_308_000_000_000_000, 1_750_000_000_000_000_000, 1_024_000_000_000, 123_456_789]
 )
-def test_a_shift_of_the_clock_shifts_the_result(simulation: Simulation, shift_ns: int) -> None:
-    options = effective(simulation, {})
-    log, later = (prepare([r], options) for r in (simulation.log, shifted(simulation.log, shift_ns)))
+def test_a_shift_of_the_clock_shifts_the_result(
+    simulation: Simulation, unshifted: tuple[Log, Estimate, Array], shift_ns: int
+) -> None:
+    options, (log, _, before) = effective(simulation, {}), unshifted
+    later = prepare([shifted(simulation.log, shift_ns)], options)
     assert np.array_equal(later.stamps_ns, log.stamps_ns + shift_ns)
-    (_, before), (_, after) = run(log, options), run(later, options)
+    _, after = run(later, options)
     assert degrees_apart(before, after) < 1e-4
     assert np.array_equal(before, after)  # stamps are subtracted as integers: not a bit moves
 
 
-def test_the_same_input_twice_gives_the_same_bits(job: tuple[Log, Settings]) -> None:
-    (first, a), (second, b) = run(*job), run(*job)
+def test_the_same_input_twice_gives_the_same_bits(job: tuple[Log, Settings], plain: tuple[Estimate, Array]) -> None:
+    (first, a), (second, b) = plain, run(*job)
     for x, y in ((a, b), (first.smoothed.P, second.smoothed.P), (first.forward.q, second.forward.q)):
         assert x.tobytes() == y.tobytes()
 
 
-def test_rows_norms_and_numbers(job: tuple[Log, Settings]) -> None:
-    log, options = job
-    est, at_rate = run(log, options)
+def test_rows_norms_and_numbers(job: tuple[Log, Settings], plain: tuple[Estimate, Array]) -> None:
+    (log, _), (est, at_rate) = job, plain
     assert at_rate.shape == (len(log.imu.t), 4)
     assert est.smoothed.t[0] == log.imu.t[0]
     assert est.smoothed.t[-1] == log.imu.t[-1]
@@ -147,9 +162,8 @@ def test_either_sign_of_an_orientation_is_the_same_measurement(simulation: Simul
     assert degrees_apart(results[0], results[1]) < 1e-9
 
 
-def test_the_smoothed_sigma_never_exceeds_the_forward_one(simulation: Simulation) -> None:
-    options = effective(simulation, {})
-    est, _ = run(prepare([simulation.log], options), options)
+def test_the_smoothed_sigma_never_exceeds_the_forward_one(unshifted: tuple[Log, Estimate, Array]) -> None:
+    _, est, _ = unshifted
     forward, smoothed = (np.trace(P[:, :3, :3], axis1=1, axis2=2) for P in (est.passes["forward"].P, est.smoothed.P))
     assert np.all(smoothed <= forward * (1 + 1e-3))  # the tangents of the two passes differ by their separation
 
@@ -177,7 +191,6 @@ def test_holes_scales_and_lost_rows_leave_a_whole_result_or_a_plain_refusal(
         scale = factor if c.role == "imu" else 1.0
         values = {name: v[mask] * (scale if name.startswith("gyro") else 1.0) for name, v in c.values.items()}
         channels.append(replace(c, stamps_ns=c.stamps_ns[mask], values=values))
-    refused = None
     refused = None
     try:
         log = prepare([replace(SHORT.log, channels=tuple(channels))], SHORT_SETTINGS)

@@ -116,11 +116,10 @@ def test_a_sensor_that_contradicts_the_rest_fails_the_verdict(
     assert says in result.outcome.err
 
 
-@pytest.mark.parametrize("scale", [1.05, 0.9])
 def test_a_gyro_of_wrong_scale_shows_in_the_agreement_of_the_passes(
-    scale: float, whole: Drive, tmp_path: Path, smooth: Callable[..., Any]
+    whole: Drive, tmp_path: Path, smooth: Callable[..., Any]
 ) -> None:
-    result = smooth(scaled(whole.without(*HEADING), scale, *GYRO).write(tmp_path), codes=(0, 3))
+    result = smooth(scaled(whole.without(*HEADING), 0.9, *GYRO).write(tmp_path), codes=(0, 3))
     assert result.report["verdict"] != "PASS"
     named = {"gyro-noise-raised", "gyro-scale"} & set(result.codes)
     assert "Forward and backward disagree" in result.outcome.err or named
@@ -132,6 +131,7 @@ def test_a_gyro_of_wrong_scale_is_taken_out_and_sigma_holds_for_heading_too(
     drive = scaled(whole.without(*HEADING), 1.05, *GYRO)
     result = smooth_once(drive)
     assert "gyro-scale" in result.codes
+    assert result.report["verdict"] != "PASS"
     assert judged(result.folder, drive, relative=True).heading_ratio() < HONEST
 
 
