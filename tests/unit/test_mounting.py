@@ -30,7 +30,7 @@ ENCODER = 0.005  # m/s: wheel speed of a good encoder; the simulator's 0.03 is a
 
 @pytest.fixture(scope="module")
 def work() -> Job:
-    return with_encoder(RoverOptions(seed=81, motions=3, motion_s=(60.0, 120.0), odometry=True))
+    return with_encoder(RoverOptions(seed=81, motions=3, motion_s=(60.0, 120.0), rate_hz=50.0, odometry=True))
 
 
 def with_encoder(options: RoverOptions) -> Job:
@@ -98,7 +98,7 @@ def test_the_seat_does_not_depend_on_the_imus_axes(work: Job) -> None:
 def test_four_sigma_holds_over_drives(encoder: bool) -> None:
     ratios = []
     for seed in range(82, 88 if encoder else 86):
-        options = RoverOptions(seed=seed, motions=4, motion_s=(60.0, 90.0), odometry=True)
+        options = RoverOptions(seed=seed, motions=4, motion_s=(60.0, 90.0), rate_hz=50.0, odometry=True)
         found = seated(with_encoder(options) if encoder else simulated(options), np.eye(3))
         if found is not None:
             ratios.append(forward_error_deg(found, np.eye(3)) / forward_sigma_deg(found))
@@ -134,7 +134,7 @@ def test_a_wrong_wheel_speed_is_contradicted(work: Job, factor: float) -> None:
 
 def test_no_false_lag_with_noisy_wheels() -> None:
     for seed in range(90, 94):
-        options = RoverOptions(seed=seed, motions=6, motion_s=(60.0, 90.0), odometry=True)
+        options = RoverOptions(seed=seed, motions=6, motion_s=(60.0, 90.0), rate_hz=50.0, odometry=True)
         found = seated(simulated(options), np.eye(3))
         assert found is not None
         print(f"seed {seed}: lag {found.lag:+.2f} s, scale {found.scale:.3f} +- {found.scale_sigma:.3f}")
