@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from attest_cli.__main__ import run
 from attest_cli.app import app
 from attest_cli.records import COLUMNS
 
@@ -46,17 +45,9 @@ def test_every_command_of_the_tool_stands_in_the_readme_and_no_other(readme: str
     assert table == commands()
 
 
-def test_every_option_of_the_readme_exists(readme: str) -> None:
-    helps = "".join(
-        subprocess.run(
-            [sys.executable, "-m", "attest_cli", command, "--help"],
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=Path(__file__).parents[2],
-        ).stdout
-        for command in sorted(commands())
-    )
+def test_every_option_of_the_readme_exists(readme: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert [run([command, "--help"]) for command in sorted(commands())] == [0] * len(commands())
+    helps = capsys.readouterr().out
     named = set(re.findall(r"`(--[a-z-]+)", readme)) - {"--version"}
     assert named
     assert {option for option in named if option not in helps} == set()

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,9 @@ def test_a_simulation_is_written_whole(tmp_path: Path) -> None:
     held(found, "sim.csv", "sim.mcap", "sim.parquet", "sim.truth.parquet", "attest.toml")
 
 
-def test_an_evaluation_and_its_page_come_together(whole: Drive, tmp_path: Path) -> None:
-    folder = tmp_path / "w"
+def test_an_evaluation_and_its_page_come_together(whole: Drive, tmp_path: Path, smooth: Callable[..., Any]) -> None:
+    folder, result = tmp_path / "w", "drive.attest"
     folder.mkdir()
-    log = whole.span(0, 50).write(folder)
-    twins(folder, "smooth", log.name)
-    result = f"{log.stem}.attest"
+    smooth(whole.span(0, 50).write(folder), output=f"w/{result}")
     reference = ("evaluate", result, "--reference", f"{result}/track.parquet")
     held(twins(folder, *reference), "evaluation.json", "09-evaluate.png")

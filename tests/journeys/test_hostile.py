@@ -144,7 +144,7 @@ WRITTEN = 6
 """Files of a result without its pages: two tracks, passes, innovations, segments, report."""
 
 
-def test_a_disk_that_is_full_at_any_file_leaves_nothing_half_written(
+def test_a_disk_that_is_full_at_the_first_or_the_last_file_leaves_nothing_half_written(
     log: Path, folder: Path, attest: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("attest_cli.pipeline.write_pages", lambda *_: [])
@@ -164,7 +164,7 @@ def test_a_disk_that_is_full_at_any_file_leaves_nothing_half_written(
 
         return name
 
-    for k in range(1, WRITTEN + 1):  # the first name is that of the folder
+    for k in (1, WRITTEN):  # the first name is that of the folder; each file in turn: test_full_disk.py
         named = 0
         monkeypatch.setattr(files.secrets, "token_hex", full_at(k))
         try:
@@ -174,10 +174,7 @@ def test_a_disk_that_is_full_at_any_file_leaves_nothing_half_written(
         outcome.refused("cannot be written", "is there room")
         failed.append(outcome.err.partition(": cannot")[0].rpartition("/")[2])
         assert hostile.leftovers(folder) == ["attest.toml", "drive.parquet"]
-    assert failed == [
-        *("track.csv", "track.mcap"),
-        *("passes.parquet", "innovations.parquet", "segments.csv", "report.json"),
-    ]
+    assert failed == ["track.csv", "report.json"]
     monkeypatch.setattr(files.secrets, "token_hex", token)
     assert attest("smooth", log, *FORMATS).code == 0
 
