@@ -72,6 +72,7 @@ def test_euroc(load, name: str, rows: int) -> None:
 def test_xio(load) -> None:
     recording, log = load("logs/xio_fusion/sensor_data.csv")
     assert recording.channels[0].units["gyro_x"] == "deg/s"
+    assert log.imu.t.size == 13514
     assert log.imu.gyro_b[0, 0] == pytest.approx(np.radians(0.01644619))
     assert np.linalg.norm(log.imu.accel_b[0]) == pytest.approx(9.78, abs=0.02)
     assert np.linalg.norm(log.fixes["magnetometer"].values[0]) == pytest.approx(43.8e-6, rel=0.01)
