@@ -21,7 +21,7 @@ from attest_cli.calibration.walk import build_walk
 from attest_cli.calibration.whiteness import judge_whiteness
 
 Array = NDArray[np.float64]
-SEEDS = 200
+SEEDS = 120
 RARE = 1e-4
 
 
@@ -38,7 +38,7 @@ def hold(found: list[NoiseFit], N: float, K: float) -> tuple[int, int]:
 
 def test_two_hours_give_the_densities() -> None:
     found = []
-    for seed in range(15):
+    for seed in range(8):
         rate = still.walking(np.random.default_rng([seed, 20]), 144_000, 0.05, 0.01, 2e-4)
         found.append(fit_noise([still.piece(len(rate), 0.05)], [rate], 1, across=True))
     N, K = np.array([f.N for f in found]), np.array([f.K for f in found], dtype=float)
@@ -112,7 +112,7 @@ def test_parameters_of_the_exponential_scatter_as_their_covariance_says() -> Non
 
 @pytest.mark.parametrize(("true", "right"), [("random walk", "random-walk"), ("exponential", "exponential")])
 def test_a_drive_gets_its_bias_with_a_sigma_that_holds(true: str, right: str) -> None:
-    squares, chosen, n = [], 0, 20
+    squares, chosen, n = [], 0, 12
     for seed in range(n):
         drive = still.stops(np.random.default_rng([seed, 25]), true, hz=10.0)
         blocks, edges = cut(drive.pieces, 1.0)

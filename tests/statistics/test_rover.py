@@ -19,7 +19,8 @@ from attest_cli.smoothers import SMOOTHERS, gauss_newton
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.slow
-DRIVES = range(1000, 1012)
+DRIVES = range(1000, 1008)
+FEW = 5  # of which also by the paper's smoother, which is slow
 Z = 3.89  # normal deviate of 99.99 %
 SPREAD = {"S1": 1.7, "S2": 2.6}  # of one drive's mean NEES, measured over the fifty drives of the benchmark
 
@@ -54,7 +55,7 @@ def s1() -> list[Drive]:
 
 @pytest.fixture(scope="module")
 def s2() -> list[Drive]:
-    return [drive("S2", seed, with_paper=True) for seed in DRIVES]
+    return [drive("S2", seed, with_paper=seed < DRIVES.start + FEW) for seed in DRIVES]
 
 
 @pytest.fixture(params=["S1", "S2"])
@@ -117,8 +118,9 @@ def test_innovations_follow_chi_square(drives: tuple[str, list[Drive]]) -> None:
 
 
 def test_the_exact_smoother_is_no_worse_than_the_paper(s2: list[Drive]) -> None:
-    exact, literal = pooled([d.score(d.smoothed) for d in s2]), pooled([d.score(d.paper) for d in s2 if d.paper])
-    print(f"exact {mrad(exact.attitude):.3f} mrad, paper {mrad(literal.attitude):.3f} mrad over {len(s2)} drives")
+    both = [(d, d.paper) for d in s2 if d.paper]
+    exact, literal = pooled([d.score(d.smoothed) for d, _ in both]), pooled([d.score(paper) for d, paper in both])
+    print(f"exact {mrad(exact.attitude):.3f} mrad, paper {mrad(literal.attitude):.3f} mrad over {len(both)} drives")
     assert exact.attitude <= literal.attitude
 
 
