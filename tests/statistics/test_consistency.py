@@ -16,7 +16,7 @@ from attest_cli.maths import rotation
 from attest_cli.smoothers import SMOOTHERS
 
 Array = NDArray[np.float64]
-RUNS, FEW = 120, 24  # honest runs; runs told wrong
+RUNS, FEW = 120, 40  # honest runs; runs told wrong
 
 
 @dataclass(frozen=True)
