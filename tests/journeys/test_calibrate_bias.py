@@ -33,6 +33,15 @@ def unstated(whole: Drive) -> Drive:
     return replace(whole, config="\n".join(kept) + "\n")
 
 
+@pytest.fixture
+def undrawn(own: Own, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages hold nothing: one is drawn in full by :func:`own`."""
+    monkeypatch.setattr("attest_cli.figures.page.Page.png", lambda _: b"")
+
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
 @dataclass(frozen=True)
 class Own:
     """A drive, the folder calibrated from it, its file, and the words that came with it."""
@@ -68,6 +77,7 @@ def calibrated(attest: Attest, log: Path, folder: Path, *more: object) -> tuple[
 
 def test_a_drive_is_calibrated_from_its_stops(own: Own) -> None:
     assert {path.name for path in own.folder.iterdir()} == FILES
+    assert (own.folder / "08-calibrate-bias.png").read_bytes()[:4] == b"\x89PNG"
     assert own.found["source"]["static"] is False
     for axis in own.found["gyro"].values():
         low, high = axis["noise"]["noise_density_95"]

@@ -38,8 +38,11 @@ def result(samples: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 
 @pytest.fixture
-def evaluate(attest: Attest, samples: Path, tmp_path: Path) -> Callable[..., dict[str, Any]]:
-    """Evaluate into a folder of this test; what ``--json`` prints."""
+def evaluate(
+    attest: Attest, samples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., dict[str, Any]]:
+    """Evaluate into a folder of this test, its page undrawn; what ``--json`` prints."""
+    monkeypatch.setattr("attest_cli.figures.page.Page.png", lambda _: b"")
 
     def command(track: Path, *options: object, reference: Path = samples / "rover.truth.parquet") -> dict[str, Any]:
         done = attest("evaluate", track, "--reference", reference, "-o", tmp_path / "out", "--overwrite", "--json",
