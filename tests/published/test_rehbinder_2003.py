@@ -141,7 +141,7 @@ PAPER = {"gyro_bias": False, "gain": "scalar"}
 )
 def test_smoothing_pays(case: str, rule: str, ratio: float) -> None:
     """The paper's filter: scalar gain, no bias state, stops unknown to it. The page has the medians of many walks."""
-    work = walk(case, 0.05, 100).without_stops().with_settings(vertical={**PAPER, "acceleration": rule})
+    work = walk(case, 0.05, 100, 60.0).without_stops().with_settings(vertical={**PAPER, "acceleration": rule})
     errors = [rms_deg(tilt(p, work.up_b)[0]) for p in passes(work.run())]
     print(f"{case} {rule}: forward {errors[0]:.3f} deg, smoothed {errors[1]:.3f}, ratio {errors[1] / errors[0]:.2f}")
     assert errors[1] <= ratio * errors[0]

@@ -98,12 +98,11 @@ def raising(fault: BaseException) -> Callable[..., Any]:
     return smooth
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["smooth", "--help"], ["--version"], []])
-def test_help_and_version_load_nothing_heavy(arguments: Sequence[str]) -> None:
+def test_help_and_version_load_nothing_heavy() -> None:
     code = (
         "import sys\n"
         "from attest_cli.__main__ import run\n"
-        f"code = run({list(arguments)!r} or ['--help'])\n"
+        "code = max(run(words) for words in (['--help'], ['smooth', '--help'], ['--version']))\n"
         f"print(code, sorted({HEAVY!r} & set(sys.modules)), file=sys.stderr)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)

@@ -39,6 +39,7 @@ def drive(**options: object) -> tuple[RoverOptions, Log, Segmentation, Settings]
     return chosen, log, find_segments(log, settings), settings
 
 
+@cache
 def judged(**options: object) -> tuple[estimate.Estimate, Array, Array]:
     """Return the estimate and the true minus estimated attitude and position at its nodes in motion."""
     chosen, log, segmentation, settings = drive(**options)
@@ -65,8 +66,8 @@ def test_attitude_and_place_are_inside_their_sigma(seed: int) -> None:
 
 
 def test_wheels_hold_the_place_that_the_imu_alone_loses() -> None:
-    _, _, alone = judged(seed=13)
-    _, _, wheels = judged(seed=13, odometry=True)
+    _, _, alone = judged(seed=11)
+    _, _, wheels = judged(seed=11, odometry=True)
     assert np.linalg.norm(wheels[-1]) < 0.5 * np.linalg.norm(alone[-1])
 
 
@@ -187,7 +188,7 @@ def test_car_noise_clock_and_heading_are_found_from_the_log_alone() -> None:
 
 def test_a_fix_from_elsewhere_is_left_out_and_told() -> None:
     """Null island, first of all: it is neither origin nor aid."""
-    work, truth, _ = car(4)
+    work, truth, _ = car(4, seconds=50.0)
     fixes = work.log.fixes["position"]
     values = fixes.values.copy()
     values[0] += [5e6, -3e6, 0.0]
@@ -215,7 +216,7 @@ def test_fixes_of_a_log_that_stands_show_no_north() -> None:
 
 
 def test_an_arm_that_the_drive_does_not_show_is_no_state_and_scatter_that_nothing_states_is_none() -> None:
-    found = navigation.forward(car(3, sigma=0.5)[0])
+    found = navigation.forward(car(3, sigma=0.5, seconds=50.0)[0])
     assert "position lever arm" not in {item.name for item in found.shown}
     assert "position-scatters" not in {w.code for w in found.warnings}
 

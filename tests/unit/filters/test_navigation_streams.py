@@ -115,10 +115,10 @@ def test_velocity_holds_the_track_and_its_errors_are_inside_their_sigma(rate_hz:
 def test_height_holds_the_vertical_and_its_error_is_inside_its_sigma(rate_hz: float) -> None:
     total, with_it, without = 0.0, np.zeros(2), np.zeros(2)
     for seed in (11, 12):
-        est, at, dv, dp = solved(seed, ("height", rate_hz), motion_s=100.0)
+        est, at, dv, dp = solved(seed, ("height", rate_hz), motion_s=75.0)
         assert est.smoothed.P_vp is not None
         total += squares(dp[at, 2:], est.smoothed.P_vp[at][:, 5:, 5:])
-        _, _, bare_v, bare_p = solved(seed, motion_s=100.0)
+        _, _, bare_v, bare_p = solved(seed, motion_s=75.0)
         with_it += [np.mean(dv[:, 2] ** 2), np.mean(dp[:, 2] ** 2)]
         without += [np.mean(bare_v[:, 2] ** 2), np.mean(bare_p[:, 2] ** 2)]
     low, high = chi2.ppf([0.001, 0.999], 2 * len(WHEN))
