@@ -289,15 +289,17 @@ def test_dry_run_tells_the_plan_and_writes_nothing(
 
 
 def test_json_stands_alone_on_stdout(samples: Path, smooth: Callable[..., Any]) -> None:
-    result = smooth(samples / "rover.parquet", "--json")
+    result = smooth(samples / "rover.parquet", "--end", 60, "--json")
     assert json.loads(result.outcome.out) == result.report
     assert "PASS" in result.outcome.err
 
 
 def test_gate_and_strict_end_with_3(samples: Path, smooth: Callable[..., Any]) -> None:
-    passed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "1", "--strict", "-q", output="a")
+    passed = smooth(
+        samples / "rover.parquet", "--end", 60, "--max-sigma-attitude-deg", "1", "--strict", "-q", output="a"
+    )
     assert passed.outcome.err == ""
-    failed = smooth(samples / "rover.parquet", "--max-sigma-attitude-deg", "0.05", codes=(3,), output="b")
+    failed = smooth(samples / "rover.parquet", "--end", 60, "--max-sigma-attitude-deg", "0.05", codes=(3,), output="b")
     assert "over the gate of 0.05°" in failed.outcome.err
     assert failed.report["verdict"] == "FAIL"
     assert failed.outcome.err.splitlines()[0].endswith("FAIL")
@@ -306,8 +308,8 @@ def test_gate_and_strict_end_with_3(samples: Path, smooth: Callable[..., Any]) -
 def test_strict_turns_a_warning_into_3(samples: Path, tmp_path: Path, smooth: Callable[..., Any]) -> None:
     config = tmp_path / "noon.toml"
     config.write_text("[world]\nsun_direction = [0.0, 0.0, 1.0]\n", encoding="utf-8")
-    plain = smooth(samples / "rover.parquet", "-c", config, output="plain")
-    strict = smooth(samples / "rover.parquet", "-c", config, "--strict", codes=(3,), output="strict")
+    plain = smooth(samples / "rover.parquet", "--end", 60, "-c", config, output="plain")
+    strict = smooth(samples / "rover.parquet", "--end", 60, "-c", config, "--strict", codes=(3,), output="strict")
     assert plain.codes == strict.codes == {"sun-not-used"}
 
 
@@ -338,10 +340,11 @@ def test_a_drive_cut_in_two_is_the_same_drive(
 
 
 def test_gyro_columns_of_another_imu_are_not_mixed(whole: Drive, tmp_path: Path, smooth: Callable[..., Any]) -> None:
-    doubled = whole.changed(**{f"second_{n}": whole.columns[n] * 3.0 for n in (*GYRO, "accel_x", "accel_y", "accel_z")})
+    start = whole.span(0, 60)
+    doubled = start.changed(**{f"second_{n}": start.columns[n] * 3.0 for n in (*GYRO, "accel_x", "accel_y", "accel_z")})
     result = smooth(doubled.write(tmp_path))
     assert "several-channels" in result.codes
-    assert judged(result.folder, whole).tilt_ratio() < 2.0
+    assert judged(result.folder, start).tilt_ratio() < 2.0
 
 
 @pytest.mark.parametrize("content", ["{}", "not JSON", '{"verdict": 5}', "[]"])

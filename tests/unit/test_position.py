@@ -194,7 +194,7 @@ def test_odometry_sigma_is_not_too_small() -> None:
     """Slip counts as lasting a second, the simulated noise is white: the sigma may be wide, but must not be narrow."""
     rows = []
     for seed in range(320, 328):
-        d = drive(seed=seed, motions=1, motion_s=(60.0, 90.0), odometry=True)
+        d = drive(seed=seed, motions=1, motion_s=(60.0, 90.0), rate_hz=50.0, odometry=True)
         p = d.odometry()
         rows.append(float(nees(d.error(p)[-1:], p.P[-1:])[0]))
     mean = float(np.mean(rows)) / 3
