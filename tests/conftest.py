@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import random
+from collections.abc import Generator
 from pathlib import Path
 
 import hypothesis
@@ -14,6 +16,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 hypothesis.settings.register_profile("attest", derandomize=True, deadline=None, max_examples=60)
 hypothesis.settings.load_profile("attest")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Keep the thousands of tests and modules out of every later garbage collection: none of them is garbage."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(autouse=True)
