@@ -28,9 +28,9 @@ class Outcome:
     out: str
     err: str
 
-    def refused(self, *words: str) -> None:
-        """The one plain line of a refusal: exit 1, nothing on stdout, no traceback, and these words in it."""
-        assert self.code == 1, self
+    def refused(self, *words: str, code: int = 1) -> None:
+        """The one plain line of a refusal: exit 1 (2: usage), nothing on stdout, no traceback, and these words in it."""
+        assert self.code == code, self
         assert self.out == ""
         assert self.err.startswith("attest: ")
         assert self.err.count("\n") == 1, self.err

@@ -259,19 +259,19 @@ def test_start_and_end_cut_the_log(done: dict[str, Done], samples: Path, smooth:
 
 
 @pytest.mark.parametrize(
-    ("start", "end", "says"),
+    ("start", "end", "code", "says"),
     [
-        (500, 600, "rover.parquet: the window of --start"),
-        (100, 100, "not after"),
-        (130, 55, "not after"),
-        (-20, -10, "start_s"),
+        (500, 600, 1, "rover.parquet: the window of --start"),
+        (100, 100, 2, "not after"),
+        (130, 55, 2, "not after"),
+        (-20, -10, 2, "start_s"),
     ],
 )
 def test_an_empty_window_is_refused(
-    samples: Path, attest: Callable[..., Any], tmp_path: Path, start: int, end: int, says: str
+    samples: Path, attest: Callable[..., Any], tmp_path: Path, start: int, end: int, code: int, says: str
 ) -> None:
     outcome = attest("smooth", samples / "rover.parquet", f"--start={start}", f"--end={end}", "-o", tmp_path / "r")
-    outcome.refused(says)
+    outcome.refused(says, code=code)
     assert list(tmp_path.iterdir()) == []
 
 
