@@ -29,7 +29,7 @@ class Outcome:
     err: str
 
     def refused(self, *words: str, code: int = 1) -> None:
-        """The one plain line of a refusal: exit 1 (2: usage), nothing on stdout, no traceback, and these words in it."""
+        """The one plain line of a refusal: its exit code, nothing on stdout, no traceback, and these words in it."""
         assert self.code == code, self
         assert self.out == ""
         assert self.err.startswith("attest: ")
