@@ -11,12 +11,12 @@ from ..maths import rotation
 from ..maths.kalman import symmetric
 from ..records import Array, Bools, Fixes, Imu, Segmentation, Smoothed
 from ..settings import Settings
+from ..wheels import longest_hole
 from .chain import blocks, markov
 from .course import Position, around, row_blocks, running, survey, usable
 
 CORRELATION_S = 1.0  # wheel slip lasts about this long
 STILL_M_S = 2e-3  # a vehicle that drives is faster
-LONGEST_SILENCE_S = 1.0  # odometry is bridged over this
 LEAST_SPEED_M_S = 0.1
 NO_GAPS = np.zeros((0, 2))
 
@@ -104,7 +104,7 @@ def _still(t: Array, segmentation: Segmentation) -> Bools:
 def silences(odometry: Fixes, span: Array, segmentation: Segmentation) -> Array:
     """Return the spans (k, 2) of motion in which the odometry says nothing; at a stop the speed is known without it."""
     t = odometry.t
-    limit = max(LONGEST_SILENCE_S, 5.0 * float(np.median(np.diff(t)))) if len(t) > 1 else LONGEST_SILENCE_S
+    limit = longest_hole(t)
     stops = [np.arange(s.start, s.end + 0.5 * limit, 0.5 * limit) for s in segmentation.stops]
     known = np.clip(np.sort(np.concatenate([t, *stops])), span[0], span[-1])
     edges = np.concatenate([[span[0]], known, [span[-1]]])

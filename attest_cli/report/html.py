@@ -132,7 +132,8 @@ def _shown(found: Sequence[Mapping[str, Any]]) -> str:
         return ""
     rows = []
     for item in found:
-        values, sigma = (", ".join(two_digits(v) for v in item[key]) for key in ("values", "sigma"))
+        known = (["–" if v is None else two_digits(v) for v in item[key]] for key in ("values", "sigma"))
+        values, sigma = (", ".join(column) for column in known)
         rows.append(
             f"<tr><td>{_h(item['name'])}</td><td>{_h(values)}</td><td>{_h(sigma)}</td><td>{_h(item['unit'])}</td></tr>"
         )

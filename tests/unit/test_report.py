@@ -131,6 +131,11 @@ def test_html_is_one_page_with_nothing_from_elsewhere_and_nothing_of_the_log_une
     assert found.names.count("tr") == 1 + 2 + 1 + 2  # segments and settings, each with a head
 
 
+def test_html_bears_what_the_drive_does_not_show(tmp_path: Path) -> None:
+    unknown = {"name": "odometry noise", "values": [None], "sigma": [], "unit": "m/s"}
+    assert "<td>odometry noise</td><td>–</td>" in html.page(result(tmp_path, shown=[unknown]), [])
+
+
 def test_html_tells_no_time_of_writing(tmp_path: Path) -> None:
     pages = [html.page(result(tmp_path, created_utc=when), []) for when in ("2026-11-21T14:03:12Z", "2027-01-01")]
     assert pages[0] == pages[1]

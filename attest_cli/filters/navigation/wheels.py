@@ -7,7 +7,8 @@ import numpy as np
 from ...maths import rotation
 from ...mounting import find_mounting, upright
 from ...nodes import Nodes
-from ...records import Array, Warn
+from ...records import Array, Ints, Warn
+from ...wheels import longest_hole
 from .. import Drive
 from .aids import Wheels
 from .model import on_steps
@@ -15,7 +16,6 @@ from .states import State
 
 SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
 STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, as stated; where it looks upright
-LONGEST_HOLE_S = 1.0  # odometry is bridged over this
 
 
 def wheels_of(
@@ -40,9 +40,10 @@ def wheels_of(
     if seat is not None and found and not given:
         R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma[1:]
     t = odometry.t - (seat.lag if seat is not None else 0.0)
-    at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
-    after = np.clip(np.searchsorted(t, nodes.t[at]), 1, len(t) - 1)
-    at = at[t[after] - t[after - 1] < LONGEST_HOLE_S]
+    at = _heard(nodes, t)
+    if not len(at):
+        message = "odometry not used: its measurements lie too far apart, or none is of a motion"
+        return None, [Warn("odometry-not-used", message)]
     values = np.nan_to_num(odometry.values)
     velocity = np.stack([np.interp(nodes.t[at], t, values[:, k]) for k in range(3)], axis=1)
     own = cfg.odometry
@@ -52,6 +53,15 @@ def wheels_of(
     sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
     rate = np.stack([np.interp(nodes.t[at], drive.log.imu.t, drive.log.imu.gyro_b[:, k]) for k in range(3)], axis=1)
     return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma, rate - bias[at], arm), []
+
+
+def _heard(nodes: Nodes, t: Array) -> Ints:
+    """Return the moving nodes between measurements of the wheels at ``t``, but for those in their holes."""
+    if len(t) < 2:
+        return np.zeros(0, dtype=np.int64)
+    at = np.flatnonzero(nodes.moving & (nodes.t >= t[0]) & (nodes.t <= t[-1]))
+    after = np.clip(np.searchsorted(t, nodes.t[at]), 1, len(t) - 1)
+    return at[t[after] - t[after - 1] < longest_hole(t)]
 
 
 def wheel_states(drive: Drive, wheels: Wheels) -> list[State]:

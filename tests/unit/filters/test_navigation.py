@@ -71,6 +71,16 @@ def test_wheels_hold_the_place_that_the_imu_alone_loses() -> None:
     assert np.linalg.norm(wheels[-1]) < 0.5 * np.linalg.norm(alone[-1])
 
 
+@pytest.mark.parametrize(("every", "used"), [(20, True), (90, False)], ids=["0.5 Hz", "0.1 Hz"])
+def test_slow_wheels_are_used_or_refused_in_words(every: int, used: bool) -> None:
+    _, log, segmentation, settings = drive(seed=13, odometry=True)
+    fixes = log.fixes["odometry"]
+    slow = replace(fixes, t=fixes.t[::every], values=fixes.values[::every])
+    est = estimate.estimate(replace(log, fixes={"odometry": slow}), segmentation, settings)
+    assert ("odometry-not-used" not in {w.code for w in est.warnings}) == used
+    assert any(found.name == "odometry scale" for found in est.shown) == used
+
+
 def test_a_wheel_scale_is_found() -> None:
     """Wheels that read a fifth too much, with a prior wide enough for it: the IMU shows it."""
     chosen, log, segmentation, settings = drive(seed=14, odometry=True)
