@@ -27,6 +27,7 @@ Progress = Callable[[str, float], None]
 AUTO_PASSES = 12
 LAG_ROUNDS = 2  # a sensor that is seconds late has bent the attitude that it is held against
 BENT_SHARE = 1e-3  # of the nodes
+WRONG_MOVES = 1.0  # sigmas that a last pass moves: its sigma does not hold
 DOUBTFUL_SHARE = 0.02  # of the measurements refused: the trajectory may be the one at fault
 
 
@@ -164,8 +165,12 @@ def _warnings(run: FilterRun, smoothed: Smoothed, settings: Settings, *, over_no
     """Return what the user should know of the estimate."""
     told, cfg = [], settings.smoothing
     if not smoothed.settled:
-        hint = "compare --iterations 20; a log whose heading or tilt is hardly known may have two answers"
-        told.append(Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", hint))
+        other = " or --filter indirect" if cfg.filter == "navigation" else ""
+        hint = f"compare --iterations {2 * smoothed.passes}{other}; a log whose heading or tilt is hardly known may"
+        told.append(
+            Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", f"{hint} have two answers",
+                 fatal=smoothed.moves > WRONG_MOVES)
+        )  # fmt: skip
     if run.absent:
         told.append(
             Warn("not-estimated", f"{cfg.filter} does not estimate {' and '.join(run.absent)}",

@@ -301,6 +301,7 @@ class Smoothed:
     passes: int = 0
     information: tuple[Array, Array] | None = None
     settled: bool = True  # the last Gauss-Newton pass moved nothing
+    moves: float = 0.0  # sigmas by which it still moved a state, where that is known
     v: Array | None = None
     p: Array | None = None
     P_vp: Array | None = None

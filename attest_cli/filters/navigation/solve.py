@@ -16,6 +16,7 @@ from .states import Layout
 SPARED = 0.05  # weight below which a measurement counts as refused
 DATUM = 1e-4  # rad: how well a mean heading is taken as known
 SETTLED, STILL_MOVES = 0.1, 0.3  # of a sigma, any state: when to stop; what the last pass may move
+SHRINKS, LEAST_SHARE = 0.5, 0.1  # a step back that is so much smaller is taken whole; least share of another
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,7 @@ def _model(lin: Linear, rows: Stack) -> tuple[sequential.Predict, sequential.Obs
 @dataclass(frozen=True, slots=True)
 class Solution:
     """The last pass: the trajectory ``at`` it is linear about, the forward ``found``, smoothed ``errors`` about the
-    forward pass, the rows used, and whether it settled after ``passes``.
+    forward pass, the rows used, and by how many sigmas the last of ``passes`` still moved a state.
     """
 
     at: Trajectory
@@ -89,7 +90,12 @@ class Solution:
     errors: kalman.Errors
     rows: Stack
     passes: int
-    settled: bool
+    move: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether the last pass moved hardly anything."""
+        return self.move < STILL_MOVES
 
     @property
     def smoothed(self) -> Trajectory:
@@ -101,7 +107,14 @@ def solve(
     layout: Layout, prior: tuple[Trajectory, Array], inertial: Inertial, aids: Sequence[Aid], at: Trajectory,
     most: int, tune: object = None,
 ) -> Solution:  # fmt: skip
-    """Iterate forward and backward passes.
+    r"""Iterate forward and backward passes, Gauss-Newton steps :math:`d_k`, until no state moves.
+
+    Where a weak direction, the heading within a long motion, is bent more by the noise of thousands of residuals than
+    it is held, a whole step goes too far, the next one back and further still. So from the first step on that goes back
+    and hardly shrinks, a share :math:`\omega_k` of each is taken: Aitken's relaxation (Irons and Tuck 1969),
+
+    .. math:: \omega_{k+1}=-\omega_k\frac{d_k^TW(d_{k+1}-d_k)}{(d_{k+1}-d_k)^TW(d_{k+1}-d_k)},\qquad
+        W=\mathrm{diag}(\sigma^{-2})
 
     Parameters
     ----------
@@ -110,7 +123,7 @@ def solve(
     most : passes at most
     tune : ``(aids, layout, trajectory) -> aids``: noise of the aids from the residuals of the last pass
     """
-    passes, sigma = 0, None
+    passes, sigma, before, share = 0, None, None, 1.0
     while True:
         passes += 1
         lin = linearise(inertial, layout, at)
@@ -120,12 +133,23 @@ def solve(
         d = found.x + adjoint.mean(found)
         if sigma is None:
             sigma = np.sqrt(np.einsum("kii->ki", adjoint.smooth(found).P) + 1e-300)
-        move = float(np.max(np.abs(d) / sigma))
+        step = d / sigma
+        move = float(np.max(np.abs(step)))
         if passes >= most or move < SETTLED:
-            return Solution(at, found, adjoint.smooth(found), rows, passes, move < STILL_MOVES)
-        at = at.moved(d)
+            return Solution(at, found, adjoint.smooth(found), rows, passes, move)
+        share = share if before is None else _share(before, step, share)
+        at, before = at.moved(share * d), step
         if callable(tune):
             aids = tune(aids, layout, at)
+
+
+def _share(before: Array, step: Array, share: float) -> float:
+    """Return how much of a step is taken after ``share`` of the one ``before``."""
+    along, size, turn = float(np.sum(before * step)), float(np.sum(before**2)), float(np.sum((step - before) ** 2))
+    if share == 1.0 and (along >= 0.0 or np.sum(step**2) < SHRINKS**2 * size):
+        return 1.0
+    least = share if along >= 0.0 else LEAST_SHARE
+    return float(np.clip(share * (size - along) / turn, least, 1.0)) if along < size else 1.0
 
 
 def _prior(prior: tuple[Trajectory, Array], at: Trajectory) -> tuple[Array, Array]:
@@ -184,6 +208,7 @@ def read(
         cross,
         passes=passes,
         settled=settled,
+        moves=found.move,
         v=moved.v,
         p=moved.p,
         P_vp=errors.P[:, 3:9, 3:9],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,6 +80,15 @@ def test_slow_wheels_are_used_or_refused_in_words(every: int, used: bool) -> Non
     est = estimate.estimate(replace(log, fixes={"odometry": slow}), segmentation, settings)
     assert ("odometry-not-used" not in {w.code for w in est.warnings}) == used
     assert any(found.name == "odometry scale" for found in est.shown) == used
+
+
+@pytest.mark.parametrize(("moves", "fatal"), [(0.5, False), (3.0, True)])
+def test_what_does_not_settle_names_a_way_on_and_fails_where_it_moves_by_a_sigma(moves: float, fatal: bool) -> None:
+    run, settings = SimpleNamespace(absent=(), heading="absolute"), drive(seed=13, odometry=True)[3]
+    smoothed = SimpleNamespace(settled=False, passes=30, moves=moves)
+    (told,) = estimate._warnings(run, smoothed, settings, over_nodes=True)  # type: ignore[arg-type]
+    assert (told.code, told.fatal) == ("not-settled", fatal)
+    assert "--iterations 60 or --filter indirect" in told.hint
 
 
 def test_a_wheel_scale_is_found() -> None:
