@@ -4,12 +4,13 @@ agree.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from .maths import rotation
-from .records import Array, Fixes, Imu, Ints, Segmentation
+from .records import Array, Bools, Fixes, Imu, Ints, Segmentation
 
 BLOCK_S = 1.0  # velocities are compared as means over this: wheel noise in the regressor would shorten the fit
 MOST_LAG_S, COARSE_LAG_S = 1.0, 0.2  # odometry stamps against IMU stamps
@@ -23,6 +24,7 @@ SIGNIFICANT = 100.0  # drop of the weighted misfit that a lag must bring: ten si
 LEAST_PERIODS = 1.5  # of the odometry: a lag of one sample is not told from how it is made
 NEAR_DEG = 3.0  # axes that agree to this, or to three sigma, are taken as equal
 UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
+MOST_PARTS, REFITS, FAR_OFF = 16, 3, 5.0  # of a drive, to find slips; times the median misfit: a block of a slip
 MAD = 1.4826  # median absolute deviation to sigma
 WRONG_SCALE = 0.25  # wheel speed this far from what the accelerometer shows contradicts it
 
@@ -79,12 +81,17 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     a_n = rotation.rotate(q[:until], imu.accel_b[:until]) - np.array([0.0, 0.0, gravity])
     steps = 0.5 * (a_n[1:] + a_n[:-1]) * np.diff(imu.t[:until])[:, None]
     speed_n = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])[near]
-    wanted = _high_pass(_change(_means(speed_n, block), owner), owner).reshape(-1)
+    wanted = _high_pass(_change(_means(speed_n, block), owner), owner)
     R, noise = rotation.matrix(q[near]), _noise(t, odometry.values[at, 0], block)
 
-    def fit(lag: float) -> tuple[Array, float, Array]:
+    def regressor(lag: float) -> Array:
         s = np.interp(t, odometry.t - lag, odometry.values[:, 0])
-        return _fit(_high_pass(_change(_means(R * s[:, None, None], block), owner), owner), wanted, noise)
+        return _high_pass(_change(_means(R * s[:, None, None], block), owner), owner)
+
+    sound = _sound(regressor(0.0), wanted, noise)
+
+    def fit(lag: float) -> tuple[Array, float, Array]:
+        return _fit(regressor(lag)[sound], wanted[sound], noise)
 
     u, misfit, covariance = fit(0.0)
     # whole periods only: between samples interpolation quietens the wheels, which would look like a better lag
@@ -94,7 +101,7 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
     lag = period * min(range(near_best - coarse + 1, near_best + coarse), key=lambda k: fit(k * period)[1])
     best = fit(lag)
     told = LEAST_PERIODS * period < abs(lag) < MOST_LAG_S - COARSE_LAG_S
-    if told and (misfit - best[1]) / (best[1] / len(wanted)) > SIGNIFICANT:
+    if told and (misfit - best[1]) / (best[1] / (3 * np.count_nonzero(sound))) > SIGNIFICANT:
         u, misfit, covariance = best
     else:
         lag = 0.0
@@ -193,11 +200,33 @@ def _noise(t: Array, speed: Array, block: Ints) -> float:
     return 2.0 * (MAD * float(np.median(second))) ** 2 / 6.0 / max(per_block, 1.0)
 
 
+def _sound(regressor: Array, wanted: Array, noise: float) -> Bools:
+    """Return which blocks (k,) are not those of slipping wheels, as far as most of the drive agrees.
+
+    A slip has far more weight in a least-squares fit than the drive itself, whose speed hardly changes. So every part
+    of the drive is asked for the axis, and the one believed that leaves the smallest median of misfits over all of it
+    (Rousseeuw 1984); what lies far off it is left out.
+    """
+
+    def misfits(rows: slice | Bools) -> Array:
+        u = _fit(regressor[rows], wanted[rows], noise)[0]
+        return np.asarray(np.linalg.norm(regressor @ u - wanted, axis=1))
+
+    n = len(wanted)
+    parts = max(1, min(MOST_PARTS, n // LEAST_BLOCKS))
+    edges = np.linspace(0, n, parts + 1).astype(np.int64)
+    found = (misfits(slice(lo, hi)) for lo, hi in itertools.pairwise(edges))
+    misfit = min(found, key=lambda off: float(np.median(off)))
+    for _ in range(REFITS):
+        misfit = misfits(misfit <= FAR_OFF * np.median(misfit))
+    return np.asarray(misfit <= FAR_OFF * np.median(misfit))
+
+
 def _fit(regressor: Array, wanted: Array, noise: float) -> tuple[Array, float, Array]:
     """Return forward axis (3,), misfit and covariance (3, 3) of the least squares; ``noise`` of the wheels in the
     regressor, which would shorten the axis, is taken out of the normal equations.
     """
-    A = regressor.reshape(-1, 3)
+    A, wanted = regressor.reshape(-1, 3), wanted.reshape(-1)
     normal = A.T @ A
     normal -= min(noise * len(regressor), 0.5 * float(np.trace(normal)) / 3.0) * np.eye(3)
     if not np.isfinite(normal).all() or np.linalg.cond(normal) > 1e12:

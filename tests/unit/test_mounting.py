@@ -132,6 +132,20 @@ def test_a_wrong_wheel_speed_is_contradicted(work: Job, factor: float) -> None:
     assert found.contradicted
 
 
+def test_slips_of_seconds_move_neither_axis_nor_scale_nor_clock(work: Job) -> None:
+    fixes, motion = work.log.fixes["odometry"], work.segmentation.motions[0]
+    for slip_m_s, length in ((0.6, 6.0), (1.5, 4.0), (3.0, 2.0)):
+        slips = (fixes.t > motion.start + 20.0) & (fixes.t < motion.start + 20.0 + length)
+        slipping = replace(fixes, values=fixes.values + slip_m_s * slips[:, None] * [1.0, 0.0, 0.0])
+        found = seated(replace(work, log=replace(work.log, fixes={"odometry": slipping})), np.eye(3))
+        assert found is not None
+        print(f"{slip_m_s} m/s for {length} s: scale {found.scale:.3f} +- {found.scale_sigma:.3f}, lag {found.lag} s")
+        assert found.certain
+        assert not found.contradicted
+        assert found.scale == pytest.approx(1.0, abs=0.1)
+        assert found.lag == 0.0
+
+
 def test_no_false_lag_with_noisy_wheels() -> None:
     for seed in range(90, 94):
         options = RoverOptions(seed=seed, motions=6, motion_s=(60.0, 90.0), rate_hz=50.0, odometry=True)
