@@ -21,6 +21,7 @@ from .records import Array, Bools, FilterRun, Fixes, Ints, Log, Segmentation, Sh
 from .settings import Settings
 from .smoothers import SMOOTHERS, backward_estimate, gauss_newton, thinned
 from .track import full_rate
+from .wheels import Judged
 from .world import find_world
 
 Progress = Callable[[str, float], None]
@@ -41,7 +42,8 @@ class Estimate:
 
     ``world`` and ``noise`` they assumed; the ``forward`` run without its matrices; at the m nodes that are told of:
     ``smoothed``, the three ``passes``, ``moving``, and the ``errors`` that a position counts on; ``q`` (n, 4) the
-    smoothed attitude at the IMU samples; the ``filter`` used, and what it has ``shown`` of the sensors.
+    smoothed attitude at the IMU samples; the ``filter`` used, what it has ``shown`` of the sensors, and which
+    ``odometry`` it believed, if it was asked.
     """
 
     world: World
@@ -55,6 +57,7 @@ class Estimate:
     warnings: tuple[Warn, ...]
     filter: str
     shown: tuple[Shown, ...]
+    odometry: Judged | None = None
 
 
 def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress: Progress = silent) -> Estimate:
@@ -140,7 +143,7 @@ def _told(
     return Estimate(
         world, found.noise, _lean(run, told=True), smoothed,
         errors if over_nodes and cfg.smoother == "paper" else smoothed, passes, run.moving[rows], np.empty((0, 4)),
-        warnings, cfg.filter, found.shown,
+        warnings, cfg.filter, found.shown, found.odometry,
     )  # fmt: skip
 
 

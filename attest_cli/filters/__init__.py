@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from ..nodes.noise import Noise
 from ..records import FilterRun, Log, Segmentation, Shown, Warn, World
 from ..settings import Settings
+from ..wheels import Judged
 
 if TYPE_CHECKING:
     from ..nodes import Nodes
@@ -43,7 +44,7 @@ class Forward:
 
     A filter over preintegrated nodes adds them and its start, from which the whole log can be solved again
     (Gauss-Newton) and full rate be made; one that updates at every sample has none: its nodes are the samples. What the
-    drive has ``shown`` of its sensors stands in the report.
+    drive has ``shown`` of its sensors stands in the report; which ``odometry`` it believed, for the position.
     """
 
     run: FilterRun
@@ -52,6 +53,7 @@ class Forward:
     start: Start | None = None
     warnings: tuple[Warn, ...] = ()
     shown: tuple[Shown, ...] = ()
+    odometry: Judged | None = None
 
 
 class Filter(Protocol):

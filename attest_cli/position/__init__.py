@@ -7,7 +7,6 @@ from __future__ import annotations
 from .chain import Markov, markov
 from .course import Position, around, navigated, row_blocks
 from .odometry import odometry_position, silences
-from .slips import slips
 from .strapdown import inertial_position
 
 __all__ = [
@@ -20,5 +19,4 @@ __all__ = [
     "odometry_position",
     "row_blocks",
     "silences",
-    "slips",
 ]

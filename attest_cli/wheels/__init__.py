@@ -3,5 +3,7 @@
 from __future__ import annotations
 
 from .holes import longest_hole
+from .judge import Judged, judge
+from .slips import slips
 
-__all__ = ["longest_hole"]
+__all__ = ["Judged", "judge", "longest_hole", "slips"]

@@ -32,7 +32,7 @@ def forward(drive: Drive) -> Forward:
     late = (_late(role, lag) for role, lag in sorted(done.learnt.lags.items()))
     told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *_scattered(drive, done))
     nodes = _scaled(done.nodes, done.problem, done.found)
-    return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done))
+    return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
 
 
 def _wanders(done: Navigated) -> tuple[Warn, ...]:

@@ -11,6 +11,7 @@ from ...maths import rotation
 from ...nodes import Nodes
 from ...nodes.noise import added_density
 from ...records import Array, Warn
+from ...wheels import Judged
 from .. import Drive
 from ..choice import LIVELY_RAD_S, liveliness
 from . import colours
@@ -69,17 +70,18 @@ class Problem:
 
 
 def assemble(
-    drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str, arms: Mapping[str, Array]
+    drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str, arms: Mapping[str, Array],
+    odometry: Judged | None,
 ) -> Problem:  # fmt: skip
     """Build the problem about the attitude ``q`` (n, 4) and gyro bias (n, 3) of the indirect filter.
 
     A heading that counts from the start is turned to where the fixes went. Lever arms that ``arms`` does not name are
-    states.
+    states. ``odometry``: as far as it is believed.
     """
     roles = [role for role in ("gps", "position") if role in drive.log.fixes]
     places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
     doubts = [warn for role in roles for warn in far_off(drive, role)]
-    wheels, told = wheels_of(drive, nodes, q, bias, arms.get("odometry", np.zeros(3)))
+    wheels, told = wheels_of(drive, nodes, bias, arms.get("odometry", np.zeros(3)), odometry)
     doubts += [_mirrored(place.role) for place in places if mirrored(drive.log.imu, nodes.t, q, place, wheels)]
     if heading == "relative" and (places or "gps_velocity" in drive.log.fixes):
         turn, shows = _headed(drive, nodes, q, bias, places, wheels)

@@ -11,12 +11,13 @@ from ...maths import kalman, rotation
 from ...nodes import Nodes
 from ...records import Array, FilterRun
 from ...settings import Settings
+from ...wheels import Judged, judge
 from .. import Drive, Forward, indirect
 from . import colours, solve
 from .aids import Place, Wheels
 from .fixes import epochs_of
 from .identify import identify, scaled_inertial, widened
-from .model import Inertial, Trajectory
+from .model import Inertial, Trajectory, on_steps
 from .problem import Problem, assemble, node_spacing
 from .states import Layout
 from .streams import clock_of, own_nodes
@@ -31,11 +32,14 @@ SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to be
 
 @dataclass(frozen=True, slots=True)
 class Learnt:
-    """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise."""
+    """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise, which
+    ``odometry`` is believed.
+    """
 
     lags: Mapping[str, float] = field(default_factory=dict)
     arms: Mapping[str, Array] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
+    odometry: Judged | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +77,23 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
     nodes = begun.nodes
     assert nodes is not None  # the indirect filter runs over nodes
     q, bias = _smoothed(begun.run)
-    problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms)
+    learnt = learnt if learnt.odometry is not None else replace(learnt, odometry=believed(drive, nodes, q, bias))
+    problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms, learnt.odometry)
     if before is not None:
         problem = replace(problem, at=_resumed(before, problem.layout, nodes.t))
     problem, factors = _with_noise(drive, problem, learnt.factors, begin=before is None)
     found = _solved(drive, problem)
     return Navigated(begun, nodes, problem, found, replace(learnt, factors=factors))
+
+
+def believed(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> Judged | None:
+    """Return which odometry is believed beside the attitude of the indirect filter."""
+    odometry, log = drive.log.fixes.get("odometry"), drive.log
+    if odometry is None:
+        return None
+    grid, on_grid = on_steps(nodes, q, bias)
+    at_samples = on_grid[np.searchsorted(grid, log.imu.t - 1e-9).clip(0, len(grid) - 1)]
+    return judge(log, at_samples, drive.segmentation, odometry, drive.world.gravity, drive.settings)
 
 
 def _spaced(drive: Drive) -> Settings:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...maths import rotation
-from ...mounting import find_mounting, upright
 from ...nodes import Nodes
 from ...records import Array, Ints, Warn
-from ...wheels import longest_hole
+from ...wheels import Judged, longest_hole
 from .. import Drive
 from .aids import Wheels
-from .model import on_steps
 from .states import State
 
 SLIP_SHARE, SLIP_S = 0.5, 2.0  # wheel slip: share of the noise of a sample, correlation time
@@ -19,27 +17,17 @@ STATED_SEAT, ASSUMED_SEAT = 3e-3, 0.02  # rad: how the IMU sits in the vehicle, 
 
 
 def wheels_of(
-    drive: Drive, nodes: Nodes, q: Array, bias: Array, arm: Array
+    drive: Drive, nodes: Nodes, bias: Array, arm: Array, judged: Judged | None
 ) -> tuple[Wheels | None, list[Warn]]:  # fmt: skip
-    """Return the wheel speed at the moving nodes, on the IMU's clock, if the drive bears it out."""
-    odometry, cfg = drive.log.fixes.get("odometry"), drive.settings
-    if odometry is None:
+    """Return the wheel speed at the moving nodes, as far as the wheels are believed."""
+    cfg = drive.settings
+    if judged is None or judged.fixes is None or judged.forced:
         return None, []
-    grid, q_grid = on_steps(nodes, q, bias)
-    at_samples = q_grid[np.searchsorted(grid, drive.log.imu.t - 1e-9).clip(0, len(grid) - 1)]
-    seat = find_mounting(drive.log.imu, at_samples, drive.segmentation, odometry, drive.world.gravity)
-    given = cfg.imu.mounting != "auto"
-    if seat is not None and seat.certain and seat.contradicted:
-        message = f"odometry is {1.0 / seat.scale:.2g} times the speed that the accelerometer shows: not used"
-        return None, [Warn("odometry-contradicts", message, "check its unit, sign and channel")]
-    found = seat is not None and seat.certain
-    if not given and not found and not upright(drive.segmentation, drive.log.imu):
-        message = "odometry not used: the drive does not show how the IMU sits in the vehicle"
-        return None, [Warn("odometry-not-used", message, "give [imu] mounting")]
-    R_vb, seat_sigma = np.eye(3), np.full(2, STATED_SEAT if given else ASSUMED_SEAT)
-    if seat is not None and found and not given:
-        R_vb, seat_sigma = rotation.matrix(seat.q_bv).T, seat.sigma[1:]
-    t = odometry.t - (seat.lag if seat is not None else 0.0)
+    odometry, seat, given = judged.fixes, judged.seat, cfg.imu.mounting != "auto"
+    seat_sigma = np.full(2, STATED_SEAT if given else ASSUMED_SEAT)
+    if seat is not None and seat.certain and not given:
+        seat_sigma = seat.sigma[1:]
+    R_vb, t = rotation.matrix(judged.q_bv).T, odometry.t
     at = _heard(nodes, t)
     if not len(at):
         message = "odometry not used: its measurements lie too far apart, or none is of a motion"

@@ -18,6 +18,7 @@ from attest_cli.filters.choice import choose
 from attest_cli.filters.navigation.aids import Place, student
 from attest_cli.filters.navigation.fixes import GPS_SIGMA_M, possible
 from attest_cli.filters.navigation.start import heading_offset
+from attest_cli.locate import locate
 from attest_cli.maths import kalman, rotation
 from attest_cli.nodes.noise import find_noise
 from attest_cli.prepare import prepare
@@ -80,6 +81,22 @@ def test_slow_wheels_are_used_or_refused_in_words(every: int, used: bool) -> Non
     est = estimate.estimate(replace(log, fixes={"odometry": slow}), segmentation, settings)
     assert ("odometry-not-used" not in {w.code for w in est.warnings}) == used
     assert any(found.name == "odometry scale" for found in est.shown) == used
+
+
+def test_wheels_that_slip_do_not_move_the_place() -> None:
+    chosen, log, segmentation, settings = drive(seed=13, odometry=True)
+    fixes, since = log.fixes["odometry"], segmentation.motions[0].start + 12.0
+    slips = (fixes.t > since) & (fixes.t < since + 4.0)
+    spun = replace(fixes, values=fixes.values + 1.5 * slips[:, None] * [1.0, 0.0, 0.0])
+    log = replace(log, fixes={**log.fixes, "odometry": spun})
+    est = estimate.estimate(log, segmentation, settings)
+    place, _, told = locate(log, segmentation, est, settings)
+    truth = rover_drive(chosen).at(est.smoothed.t).position_n
+    assert place is not None
+    assert np.linalg.norm((truth - truth[0] - place.p)[-1]) < 0.8  # the slip went 6 m
+    wheels = est.forward.innovations.t[est.forward.innovations.role == "odometry"]
+    assert not np.any((wheels > since) & (wheels < since + 4.0))
+    assert [w.code for w in (*est.warnings, *told) if w.code.startswith("odometry")] == ["odometry-slips"]
 
 
 @pytest.mark.parametrize(("moves", "fatal"), [(0.5, False), (3.0, True)])

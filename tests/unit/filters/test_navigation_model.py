@@ -14,6 +14,7 @@ from attest_cli.filters import Drive, indirect
 from attest_cli.filters.navigation.aids import Magnetometer, Place, Wheels
 from attest_cli.filters.navigation.model import linearise
 from attest_cli.filters.navigation.problem import Problem, assemble
+from attest_cli.filters.navigation.rounds import believed
 from attest_cli.filters.navigation.start import heading_of_wheels, mirrored
 from attest_cli.maths import rotation
 from attest_cli.nodes.noise import find_noise
@@ -53,7 +54,8 @@ def problem() -> Problem:
     begun = indirect.forward(work, np.zeros(0))
     nodes = begun.nodes
     assert nodes is not None
-    made = assemble(work, nodes, begun.run.q, begun.run.bias, "absolute", {})
+    q, bias = begun.run.q, begun.run.bias
+    made = assemble(work, nodes, q, bias, "absolute", {}, believed(work, nodes, q, bias))
     rng = np.random.default_rng(1)
     d = 0.1 * np.sqrt(np.minimum(made.layout.prior(), 1.0)) * rng.normal(size=made.layout.size)
     return replace(made, at=made.at.moved(np.tile(d, (len(nodes.t), 1))))

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from attest_cli.position import slips
 from attest_cli.records import Array, Fixes, Imu, Segment, Segmentation
+from attest_cli.wheels import slips
 
 G = 9.81
 T = np.arange(0.0, 120.0, 0.01)
@@ -51,6 +51,35 @@ def test_wheels_that_slip_are_found_where_they_do(
     if span is not None:
         assert found[0] == pytest.approx(span, abs=3.1)
         assert most > 0.5
+
+
+def found_in(change: Callable[[Array, Array], Array]) -> Array:
+    """Return the spans of slips that are found where the wheels tell a changed speed, at 20 Hz."""
+    rng = np.random.default_rng(8)
+    imu, q, speed = drive(rng)
+    t = T[::5]
+    told = change(t, speed[::5]) + rng.normal(0.0, 0.03, len(t))
+    motion = Segment(1, True, 0.0, 119.0, 0, 11900, 0.0, 119.0)
+    motions = Segmentation((motion,), np.zeros(len(T), dtype=np.float32), 1.0, 2.0, np.zeros(3), np.nan, "file")
+    odometry = Fixes("odometry", "/odom", t, told[:, None], None)
+    return slips(imu, q, motions, odometry, np.array([1.0, 0.0, 0.0]), G)[0]
+
+
+def test_what_lies_between_two_slips_counts() -> None:
+    found = found_in(lambda t, v: v + 1.5 * (((t > 10.0) & (t < 14.0)) | ((t > 100.0) & (t < 104.0))))
+    assert found == pytest.approx(np.array([[10.0, 14.0], [100.0, 104.0]]), abs=3.1)
+
+
+def test_wheels_that_slip_half_of_the_time_do_not_hide_it() -> None:
+    found = found_in(lambda t, v: v + 1.6 * (t % 12.0 < 6.0))
+    assert np.diff(found, axis=1).sum() > 0.9 * 119.0
+
+
+def test_a_slip_that_fades_unseen_ends_with_the_last_contradiction() -> None:
+    fading = 2.0 / 40.0  # m/s^2: hardly more than a slope
+    found = found_in(lambda t, v: v + np.where((t > 30.0) & (t < 70.0), 2.0 - fading * (t - 30.0), 0.0))
+    assert len(found) == 1
+    assert found[0, 0] == pytest.approx(30.0, abs=3.1)
 
 
 def test_a_slow_imu_with_steps_that_hold_no_sample_is_asked_too(rng: np.random.Generator) -> None:
