@@ -5,6 +5,7 @@ agree.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,24 +89,29 @@ def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixe
         s = np.interp(t, odometry.t - lag, odometry.values[:, 0])
         return _high_pass(_change(_means(R * s[:, None, None], block), owner), owner)
 
-    sound = _sound(regressor(0.0), wanted, noise)
+    def fit(lag: float, rows: Bools) -> tuple[Array, float, Array]:
+        return _fit(regressor(lag)[rows], wanted[rows], noise)
 
-    def fit(lag: float) -> tuple[Array, float, Array]:
-        return _fit(regressor(lag)[sound], wanted[sound], noise)
-
-    u, misfit, covariance = fit(0.0)
     # whole periods only: between samples interpolation quietens the wheels, which would look like a better lag
     period = float(np.median(np.diff(odometry.t)))
-    reach, coarse = int(MOST_LAG_S / period), max(1, round(COARSE_LAG_S / period))
-    near_best = min(range(-reach, reach + 1, coarse), key=lambda k: fit(k * period)[1])
-    lag = period * min(range(near_best - coarse + 1, near_best + coarse), key=lambda k: fit(k * period)[1])
-    best = fit(lag)
+    sound = rows = _sound(regressor(0.0), wanted, noise)
+    for _ in range(2):  # what late wheels make of hard turns and starts looks like a slip until they are in time
+        lag = _best_lag(fit, rows, period)
+        rows = rows | _sound(regressor(lag), wanted, noise)
+    begun, best = fit(0.0, rows), fit(lag, rows)
     told = LEAST_PERIODS * period < abs(lag) < MOST_LAG_S - COARSE_LAG_S
-    if told and (misfit - best[1]) / (best[1] / (3 * np.count_nonzero(sound))) > SIGNIFICANT:
-        u, misfit, covariance = best
+    if told and (begun[1] - best[1]) / (best[1] / (3 * np.count_nonzero(rows))) > SIGNIFICANT:
+        u, _, covariance = best
     else:
-        lag = 0.0
+        (u, _, covariance), lag = fit(0.0, sound), 0.0
     return _seat(imu, segmentation, u, covariance, round(lag, 2))
+
+
+def _best_lag(fit: Callable[[float, Bools], tuple[Array, float, Array]], rows: Bools, period: float) -> float:
+    """Return the lag, s, a multiple of ``period``, that leaves the smallest misfit of ``rows``: coarse, then fine."""
+    reach, coarse = int(MOST_LAG_S / period), max(1, round(COARSE_LAG_S / period))
+    near = min(range(-reach, reach + 1, coarse), key=lambda k: fit(k * period, rows)[1])
+    return period * min(range(near - coarse + 1, near + coarse), key=lambda k: fit(k * period, rows)[1])
 
 
 def _seat(imu: Imu, segmentation: Segmentation, u: Array, covariance: Array, lag: float) -> Mounting | None:

@@ -114,6 +114,13 @@ def test_late_odometry_is_noticed(work: Job, late_s: float) -> None:
     assert found.lag == pytest.approx(late_s, abs=0.101)
 
 
+def test_late_odometry_is_noticed_where_its_starts_and_halts_look_like_slips() -> None:
+    work = simulated(RoverOptions(seed=1, scenario="S2", motions=2, motion_s=(30.0, 40.0), odometry=True))
+    found = seated(work, np.eye(3), 0.5)
+    assert found is not None
+    assert found.lag == pytest.approx(0.5, abs=0.101)
+
+
 def test_a_seat_that_the_drive_does_not_show_is_not_invented(work: Job) -> None:
     assert seated(work, np.eye(3), speed=0.0) is None  # wheels that never turned
     no_stops = replace(work.segmentation, segments=work.segmentation.motions)
