@@ -33,6 +33,7 @@ SENSOR_NAMES = {
     "height": "height",
 }
 POSITIONS = {"gps", "gps_velocity", "position"}
+REFUSED = {"odometry-contradicts", "odometry-not-used"}  # warnings
 HEADING_SENSORS = {"compass", "orientation", "sun"}
 BY_NIS = {"smaller": "are better than", "fits": "fit", "larger": "are worse than"}
 
@@ -318,6 +319,8 @@ def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:
     reach = f"its sigma reaches {s['position_sigma_max_m']:.0f} m"
     if run.position.method == "odometry" or POSITIONS & run.log.fixes.keys():
         return _check("position", False, "Position is not usable", f"{reach}, more than 10 % of the distance")
+    if REFUSED & {warn.code for warn in run.warnings}:
+        return _check("position", False, "Position is not usable: its odometry was refused", f"{reach}; see above why")
     return _check("position", False, "Position is not usable: no sensor aids it", f"{reach}; odometry would hold it")
 
 

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,9 @@ from pydantic import ValidationError
 
 from attest_cli import figures
 from attest_cli.errors import AttestError
-from attest_cli.records import Result
+from attest_cli.records import Result, Warn
 from attest_cli.report import Report, TrackRow, html
-from attest_cli.report.build import _median
+from attest_cli.report.build import _median, _position_check
 from attest_cli.report.pages import write_pages
 
 EVIL = '<script>alert(1)</script>"\x1b]0;\u202e'
@@ -177,3 +178,21 @@ def test_a_median_over_time_does_not_count_nodes() -> None:
     assert _median(np.where(t < 10.0, 1.0, t), t) == pytest.approx(50.0, abs=1.0)
     assert _median(np.array([3.0, np.nan, np.nan]), np.array([0.0, 1.0, 2.0])) == 3.0
     assert _median(np.array([4.0]), np.array([7.0])) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("method", "roles", "codes", "said"),
+    [("strapdown", (), (), "no sensor aids it"), ("strapdown", ("odometry",), ("odometry-contradicts",), "was refused"),
+     ("navigation", ("odometry",), ("odometry-not-used",), "was refused"), ("odometry", ("odometry",), (), "usable")],
+)  # fmt: skip
+def test_an_unusable_position_names_its_cause(
+    method: str, roles: tuple[str, ...], codes: tuple[str, ...], said: str
+) -> None:
+    run = SimpleNamespace(
+        position=SimpleNamespace(method=method), segmentation=SimpleNamespace(motions=(1,)),
+        log=SimpleNamespace(fixes=dict.fromkeys(roles)), warnings=[Warn(code, "") for code in codes],
+    )  # fmt: skip
+    told = _position_check(run, {"position_sigma_max_m": 99.0, "position_usable": False})  # type: ignore[arg-type]
+    assert told is not None
+    assert said in told["fact"]
+    assert ("odometry would hold it" in told["detail"]) == (not roles)
