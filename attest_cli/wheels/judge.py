@@ -58,14 +58,14 @@ def judge(
     if lag:
         word = "late" if lag > 0 else "early"
         told.append(Warn("odometry-late", f"odometry is {abs(lag):.2f} s {word} against the IMU: corrected"))
-    doubt = _contradiction(segmentation, odometry, seat, given=given)
+    doubt, hint = _contradiction(segmentation, odometry, seat, given=given), "check its unit, sign and channel"
     if not doubt:
         spans, most = slips(log.imu, q, segmentation, wheels, rotation.matrix(q_bv)[:, 0], gravity)
         share = _share(spans, segmentation)
         if share <= MOST_SLIPPING:
             return Judged(_without(wheels, spans), seat, q_bv, (*told, *_slipped(spans, most)))
         doubt = f"wheels and accelerometer differ by up to {most:.2g} m/s in {100.0 * share:.0f} % of the drive"
-    hint = "check its unit, sign and channel"
+        hint = "do they slip, does the counter hang? check unit and channel"
     warn = Warn("odometry-contradicts", doubt, hint if forced else f"{hint}; --position odometry uses it")
     return Judged(wheels, seat, q_bv, (warn, *told), forced) if forced else replace(nothing, told=(warn,))
 
