@@ -113,7 +113,8 @@ def _numbers(report: Mapping[str, Any]) -> Iterator[Row]:
     )
     yield "tilt σ", _two(found.get("sigma_tilt_median_deg"), "°"), _noted(_most(found.get("sigma_tilt_max_deg"), "°"))
     if found.get("position_sigma_median_m") is not None:
-        unusable = "" if found.get("position_usable") else "not usable: it passes 10 % of the distance"
+        far = (found.get("position_sigma_max_m") or 0.0) > 0.1 * (found.get("distance_m") or 0.0) > 0.0
+        unusable = "" if found.get("position_usable") else "not usable" + ": it passes 10 % of the distance" * far
         most = _most(found.get("position_sigma_max_m"), " m")
         yield "position σ", _two(found["position_sigma_median_m"], " m"), _noted(most, unusable)
     if found.get("separation_checks"):

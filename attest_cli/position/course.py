@@ -11,6 +11,7 @@ from ..records import Array, Ints, Segmentation, Smoothed
 
 BLOCK_ROWS = 1 << 16  # samples handled together
 UNUSABLE_SHARE = 0.1  # of the distance: a position worse than this is not worth its name
+UNUSABLE_M = 1.0  # the same of a log that never moves
 
 Course = Callable[[], Iterator[tuple[Array, Array]]]
 """Gives position and velocity (k, 3) at the IMU samples, ``BLOCK_ROWS`` at a time, in order."""
@@ -115,7 +116,9 @@ def _cubic(t: Array, smoothed: Smoothed) -> tuple[Array, Array]:
 
 
 def usable(P: Array, distance: Mapping[int, float]) -> bool:
-    """Return whether the largest horizontal sigma stays below a tenth of the distance driven."""
-    total = sum(distance.values())
+    """Return whether the largest horizontal sigma stays below a tenth of the distance driven, or below
+    ``UNUSABLE_M`` in a log without a motion.
+    """
+    limit = UNUSABLE_SHARE * sum(distance.values()) if distance else UNUSABLE_M
     horizontal = np.sqrt(np.nanmax(P[:, 0, 0] + P[:, 1, 1])) if np.isfinite(P).any() else np.inf
-    return bool(horizontal <= UNUSABLE_SHARE * total)
+    return bool(horizontal <= limit)

@@ -267,6 +267,11 @@ def test_usable_is_a_tenth_of_the_distance() -> None:
     assert not course.usable(np.full((3, 3, 3), np.nan), {})
 
 
+@pytest.mark.parametrize(("sigma_m", "usable"), [(0.1, True), (2.0, False)])
+def test_a_log_that_never_moves_is_usable_to_a_metre(sigma_m: float, usable: bool) -> None:
+    assert course.usable(np.tile(0.5 * sigma_m**2 * np.eye(3), (3, 1, 1)), {}) == usable
+
+
 def test_a_log_that_starts_in_motion_has_no_inertial_position_before_its_first_stop(short: Drive) -> None:
     segmentation = replace(short.work.segmentation, segments=short.work.segmentation.segments[1:])
     found = replace(short, work=replace(short.work, segmentation=segmentation)).inertial()
