@@ -11,7 +11,7 @@ from ..maths import rotation
 from ..maths.kalman import symmetric
 from ..records import Array, Bools, Fixes, Imu, Segmentation, Smoothed
 from ..settings import Settings
-from ..wheels import longest_hole
+from ..wheels import longest_hole, sigma_of
 from .chain import blocks, markov
 from .course import Position, around, row_blocks, running, survey, usable
 
@@ -28,9 +28,9 @@ def odometry_position(
     r"""Dead reckoning: :math:`\dot p_n=R_{nb}R_{bv}v_v`.
 
     Error: :math:`\dot{\delta p}=-[v_n\times]\delta\theta_n+v_n\,\delta s+n`; ``delta s`` one scale error for the log,
-    ``n`` slip with a correlation time of a second. Sideways and vertical speed count as zero where the log does not
-    give them. Where the odometry is silent or the IMU has a gap, the position stands still and its sigma grows by the
-    rms speed of the drive times the time.
+    ``n`` slip with a correlation time of a second and the sigma of the wheels. Sideways and vertical speed count as
+    zero where the log does not give them. Where the odometry is silent or the IMU has a gap, the position stands still
+    and its sigma grows by the rms speed of the drive times the time.
 
     Parameters
     ----------
@@ -45,7 +45,9 @@ def odometry_position(
     course = partial(_driven, imu.t, q, q_bv, odometry, still, blind, silent)
     p, v, lengths = survey(course, imu.t, t, [(m.first, m.last) for m in motions])
     step = np.diff(p, axis=0)
-    slip = 2.0 * CORRELATION_S * np.array([cfg.sigma_m_s, cfg.lateral_sigma_m_s, cfg.lateral_sigma_m_s]) ** 2
+    middle, known = 0.5 * (t[1:] + t[:-1]), sigma_of(odometry, cfg)
+    sigma = np.stack([np.interp(middle, odometry.t, column) for column in known.T], axis=1)
+    slip = 2.0 * CORRELATION_S * sigma[:, None, :] ** 2
     R_nodes = rotation.matrix(rotation.multiply(smoothed.q, q_bv))[:-1]
     moving = np.linalg.norm(step, axis=1) > 1e-9
     noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]

@@ -235,8 +235,11 @@ def _odometry(channel: Channel, settings: Settings, warnings: list[Warn]) -> Val
     if driving.any() and np.median(aside[driving]) > SIDEWAYS * np.median(forward[driving]):
         message = f"channel {channel.name}: the odometry moves sideways, hardly forward"
         warnings.append(Warn("odometry-sideways", message, "velocity_x is forward: are the axes those of the body?"))
-    sigmas = tuple(f"velocity_sigma_{axis}" for axis in "xyz")
-    return values, _columns(channel, sigmas, "m/s") if set(sigmas) <= channel.values.keys() else None
+    sigma = np.full((channel.stamps_ns.size, 3), np.nan)
+    for k, axis in enumerate("xyz"):
+        if f"velocity_sigma_{axis}" in channel.values:
+            sigma[:, k] = _columns(channel, (f"velocity_sigma_{axis}",), "m/s")[:, 0]
+    return values, sigma
 
 
 def _usual(channel: Channel, name: str) -> float:

@@ -160,8 +160,8 @@ class Odometry(Section):
     """Speed or velocity of the vehicle in body axes."""
 
     channel: str | None = Field(None, description="topic or column group; none: by type and name")
-    sigma_m_s: Speed = Field(0.05, description="noise of the forward speed; wheel odometry at 10 to 20 Hz")
-    lateral_sigma_m_s: Speed = Field(0.05, description="sideways and vertical slip of a wheeled vehicle")
+    sigma_m_s: Speed = Field(0.05, description="noise of the forward speed; not given: as the log states, else this")
+    lateral_sigma_m_s: Speed = Field(0.05, description="slip sideways and up; not given: as the log states, else this")
     scale_sigma: Ratio = Field(0.03, description="scale error, 1 sigma; tyre pressure and load")
     lever_arm_m: LeverArm = Field(
         "auto",

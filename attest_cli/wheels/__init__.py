@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .holes import longest_hole
 from .judge import Judged, judge
+from .noise import sigma_of
 from .slips import slips
 
-__all__ = ["Judged", "judge", "longest_hole", "slips"]
+__all__ = ["Judged", "judge", "longest_hole", "sigma_of", "slips"]

@@ -7,7 +7,8 @@ import numpy as np
 from ...maths import rotation
 from ...nodes import Nodes
 from ...records import Array, Ints, Warn
-from ...wheels import Judged, longest_hole
+from ...settings.models import Odometry
+from ...wheels import Judged, longest_hole, sigma_of
 from .. import Drive
 from .aids import Wheels
 from .states import State
@@ -34,11 +35,12 @@ def wheels_of(
         return None, [Warn("odometry-not-used", message)]
     values = np.nan_to_num(odometry.values)
     velocity = np.stack([np.interp(nodes.t[at], t, values[:, k]) for k in range(3)], axis=1)
-    own = cfg.odometry
     per = np.sqrt(
         max(1.0, float(np.median(np.diff(t))) / max(float(np.median(np.diff(nodes.t)[nodes.moving[1:]])), 1e-3))
     )
-    sigma = np.tile(per * np.array([own.sigma_m_s, own.lateral_sigma_m_s, own.lateral_sigma_m_s]), (len(at), 1))
+    known = sigma_of(odometry, cfg.odometry)
+    known *= _usual_sigma(cfg.odometry) / np.median(known, axis=0)  # how large it is the drive shows, and better
+    sigma = per * np.stack([np.interp(nodes.t[at], t, known[:, k]) for k in range(3)], axis=1)
     rate = np.stack([np.interp(nodes.t[at], drive.log.imu.t, drive.log.imu.gyro_b[:, k]) for k in range(3)], axis=1)
     return Wheels(at, nodes.t[at], velocity, sigma, R_vb, seat_sigma, rate - bias[at], arm), []
 
@@ -52,10 +54,14 @@ def _heard(nodes: Nodes, t: Array) -> Ints:
     return at[t[after] - t[after - 1] < longest_hole(t)]
 
 
+def _usual_sigma(cfg: Odometry) -> Array:
+    return np.array([cfg.sigma_m_s, cfg.lateral_sigma_m_s, cfg.lateral_sigma_m_s])
+
+
 def wheel_states(drive: Drive, wheels: Wheels) -> list[State]:
     """Return the states that wheels call for: scale, seat of the IMU, slip."""
     cfg = drive.settings.odometry
-    noise = np.array([cfg.sigma_m_s, cfg.lateral_sigma_m_s, cfg.lateral_sigma_m_s])
+    noise = _usual_sigma(cfg)
     return [
         State("odometry scale", 1, cfg.scale_sigma), State("odometry mounting", 2, wheels.seat_sigma),
         State("odometry slip", 3, SLIP_SHARE * noise, SLIP_S),
