@@ -19,6 +19,7 @@ from .nodes import Nodes
 from .nodes.noise import Noise, find_noise
 from .records import Array, Bools, FilterRun, Fixes, Ints, Log, Segmentation, Shown, Smoothed, Warn, World
 from .settings import Settings
+from .settings.quantities import MOST_PASSES
 from .smoothers import SMOOTHERS, backward_estimate, gauss_newton, thinned
 from .track import full_rate
 from .wheels import Judged
@@ -168,12 +169,12 @@ def _warnings(run: FilterRun, smoothed: Smoothed, settings: Settings, *, over_no
     """Return what the user should know of the estimate."""
     told, cfg = [], settings.smoothing
     if not smoothed.settled:
-        other = " or --filter indirect" if cfg.filter == "navigation" else ""
-        hint = f"compare --iterations {2 * smoothed.passes}{other}; a log whose heading or tilt is hardly known may"
-        told.append(
-            Warn("not-settled", f"the estimate still moves after {smoothed.passes} passes", f"{hint} have two answers",
-                 fatal=smoothed.moves > WRONG_MOVES)
-        )  # fmt: skip
+        more = min(2 * smoothed.passes, MOST_PASSES)
+        ways = [f"--iterations {more}"] * (more > smoothed.passes) + ["--filter indirect"] * (cfg.filter != "indirect")
+        hint = f"compare {' or '.join(ways)}; " * bool(ways)
+        hint += "a log whose heading or tilt is hardly known may have two answers"
+        message = f"the estimate still moves after {smoothed.passes} passes"
+        told.append(Warn("not-settled", message, hint, fatal=smoothed.moves > WRONG_MOVES))
     if run.absent:
         told.append(
             Warn("not-estimated", f"{cfg.filter} does not estimate {' and '.join(run.absent)}",

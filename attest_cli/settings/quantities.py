@@ -108,13 +108,16 @@ def as_quaternion(value: object) -> object:
     return tuple(v / norm for v in q)
 
 
+MOST_PASSES = 50
+
+
 def as_passes(value: object) -> object:
     """``auto`` or a count; digits as text are a count too."""
     if isinstance(value, str) and value.strip().isdigit():
         value = int(value)
-    if value == "auto" or (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 50):
+    if value == "auto" or (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_PASSES):
         return value
-    raise ValueError("should be auto or a count of 1 to 50")
+    raise ValueError(f"should be auto or a count of 1 to {MOST_PASSES}")
 
 
 def as_formats(value: object) -> object:
