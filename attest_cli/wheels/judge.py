@@ -50,11 +50,15 @@ def judge(
     given, forced = settings.imu.mounting != "auto", settings.smoothing.position == "odometry"
     q_bv = seat.q_bv if seat is not None and found and not given else IDENTITY
     nothing = Judged(None, seat, q_bv, ())
-    if not given and not found and not upright(segmentation, log.imu) and not forced:
-        doubt = "odometry not used: the drive does not show how the IMU sits in the vehicle"
-        return replace(nothing, told=(Warn("odometry-not-used", doubt, "give [imu] mounting"),))
+    unseen = "the drive does not show how the IMU sits in the vehicle"
+    unknown = not given and not found and not upright(segmentation, log.imu)
+    if unknown and not forced:
+        warn = Warn("odometry-not-used", f"odometry not used: {unseen}", "give [imu] mounting")
+        return replace(nothing, told=(warn,))
     lag = seat.lag if seat is not None else 0.0
     wheels, told = replace(odometry, t=odometry.t - lag), list[Warn]()
+    if unknown:
+        told.append(Warn("mounting-not-shown", f"{unseen}: its x axis is taken as forward", "give [imu] mounting"))
     if lag:
         word = "late" if lag > 0 else "early"
         told.append(Warn("odometry-late", f"odometry is {abs(lag):.2f} s {word} against the IMU: corrected"))

@@ -61,3 +61,21 @@ def test_wheels_that_most_of_the_drive_contradicts_are_refused_once(work: Job, w
     forced = judged(work, change, position="odometry")
     assert forced.forced
     assert forced.fixes is not None
+
+
+@pytest.mark.parametrize(("position", "code"), [("auto", "odometry-not-used"), ("odometry", "mounting-not-shown")])
+def test_wheels_of_an_imu_on_its_side_whose_seat_nothing_shows_are_never_used_in_silence(
+    work: Job, position: str, code: str
+) -> None:
+    imu = work.log.imu
+    side = replace(imu, gyro_b=imu.gyro_b[:, [0, 2, 1]], accel_b=imu.accel_b[:, [0, 2, 1]])
+    slow = replace(work.log.fixes["odometry"], t=work.log.fixes["odometry"].t[::30])
+    slow = replace(slow, values=work.log.fixes["odometry"].values[::30])
+    settings = work.settings.model_copy(
+        update={"imu": work.settings.imu.model_copy(update={"mounting": "auto"}),
+                "smoothing": work.settings.smoothing.model_copy(update={"position": position})}
+    )  # fmt: skip
+    q = work.truth(imu.t).q_nb
+    found = judge(replace(work.log, imu=side), q, work.segmentation, slow, GRAVITY, settings)
+    assert code in {w.code for w in found.told}
+    assert (found.fixes is None) == (position == "auto")
