@@ -54,11 +54,12 @@ def blank(t: Array, table: Array) -> Bools:
 
 
 def released(name: str, t: Array, table: Array, warnings: list[Warn]) -> tuple[Bools, Array]:
-    """Return which rows (n,) of gyro and accelerometer (n, 6) to keep, and the table with a line in place of what is
-    held; say so.
+    """Return which rows (n,) of gyro and accelerometer (n, 6) to keep, and the table with values in place of those that
+    are held; say so.
 
-    A held value is that of the first row of its run. Where both sensors have their new values in the same rows, only
-    those are kept; else all are.
+    A held value is that of the first row of its run. Where it is the gyro that is held, only its new values count, each
+    with the mean of the accelerometer about it: noise that is shared by rows would look like less. A slow accelerometer
+    has a line between its values, unless both sensors have their new values in the same rows.
     """
     found = {what: fresh(t, table[:, k]) for what, k in (("gyro", np.s_[:3]), ("accelerometer", np.s_[3:]))}
     held = {what: rows for what, rows in found.items() if rows is not None}
@@ -71,23 +72,49 @@ def released(name: str, t: Array, table: Array, warnings: list[Warn]) -> tuple[B
         keep = np.logical_or.reduce(list(held.values()))
     else:
         table = table.copy()
-        for what, rows in held.items():
-            _drawn(t, table[:, :3] if what == "gyro" else table[:, 3:], np.flatnonzero(rows))
-    warnings.append(_told(name, t, held, together=together))
+        if "accelerometer" in held:
+            _drawn(t, table[:, 3:], np.flatnonzero(held["accelerometer"]))
+        if "gyro" in held:
+            rows = np.flatnonzero(held["gyro"])
+            since = np.arange(len(t)) - rows[np.searchsorted(rows, np.arange(len(t)), side="right") - 1]
+            keep = held["gyro"] | (_stuck(t, rows) & (since % round(float(np.median(np.diff(rows)))) == 0))
+            table[keep, 3:] = _means(t, table[:, 3:], np.flatnonzero(keep))
+    warnings.append(_told(name, t, held, rows="gyro" in held or together))
     return keep, table
 
 
 def _drawn(t: Array, values: Array, rows: Ints) -> None:
     """Draw lines, in place, between new values that come soon after each other: a stuck sensor stays stuck."""
-    soon = np.diff(t[rows], append=np.inf)[np.searchsorted(rows, np.arange(len(t)), side="right") - 1] < LONGEST_S
+    soon = ~_stuck(t, rows)
     for column in values.T:
         column[soon] = np.interp(t[soon], t[rows], column[rows])
 
 
-def _told(name: str, t: Array, held: dict[str, Bools], *, together: bool) -> Warn:
+def _stuck(t: Array, rows: Ints) -> Bools:
+    """Tell the rows (n,) of a value that is held for long, between the ``rows`` of new ones."""
+    long = np.diff(t[rows], append=t[-1]) >= LONGEST_S
+    return np.asarray(long[np.searchsorted(rows, np.arange(len(t)), side="right") - 1])
+
+
+def _means(t: Array, values: Array, rows: Ints) -> Array:
+    r"""Return the means (k, 3) of a signal (n, 3), linear between its samples, about some rows: half-way to the next on
+    either side, which are as near as those of most.
+    """
+    step = np.diff(t)[:, None]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)])
+    at = t[rows]
+    half = 0.5 * float(np.median(np.diff(at)))
+    middle = 0.5 * (at[1:] + at[:-1])
+    start = np.maximum(np.append(at[0], middle), at - half)
+    end = np.minimum(np.append(middle, at[-1]), at + half)
+    gained = np.stack([np.interp(end, t, x) - np.interp(start, t, x) for x in total.T], axis=1)
+    return np.asarray(gained / (end - start)[:, None])
+
+
+def _told(name: str, t: Array, held: dict[str, Bools], *, rows: bool) -> Warn:
     step = float(np.median(np.diff(t)))
-    rates = {what: 1.0 / float(np.median(np.diff(t[rows]))) for what, rows in held.items()}
+    rates = {what: 1.0 / float(np.median(np.diff(t[new]))) for what, new in held.items()}
     each = " and ".join(f"{what} ({rate:.3g} Hz)" for what, rate in rates.items())
-    used = "rows of new values are used" if together else "a line between new values is used"
+    used = "rows of new values are used" if rows else "a line between new values is used"
     message = f"{name}: {each} slower than the log ({1.0 / step:.3g} Hz), which repeats old values: {used}"
     return Warn("imu-held", message, "log the sensor's own rate, with its own stamps")

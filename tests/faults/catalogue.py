@@ -155,6 +155,8 @@ VALUES: dict[str, Fault] = {
     "gyro axis dead but for its noise, compass": Fault(
         "compass", ("gyro-bias", "gyro-noise-raised"), dead("gyro_x")),
     "gyro axis dead but for its noise, walk": Fault("walk", ("gyro-noise-raised",), dead("gyro_z", 0.005)),
+    "gyro holds its values, twice": Fault("sun", ("imu-held",), stale(2, *GYRO)),
+    "gyro holds its values, five times, hand": Fault("hand", ("imu-held",), stale(5, *GYRO)),
     "gyro drops to zero for 3 s": Fault("bare", ("imu-stuck",), during(30.0, 33.0, GYRO, 0.0)),
     "gyro saturates": Fault(
         "hand", ("gyro-clipped",), clipped(1.8, *GYRO)),

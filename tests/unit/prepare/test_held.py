@@ -48,18 +48,30 @@ def test_coarse_values_at_rest_are_not_held(count: float) -> None:
     assert held.fresh(T, stuck[:, :3]) is None
 
 
-def test_where_one_is_held_a_line_between_its_values_is_far_nearer_and_the_other_stays() -> None:
-    for samples, k in ((5, np.s_[:3]), (10, np.s_[3:])):
-        truth, table = measured(), measured()
-        table[:, k] = holding(truth, samples)[:, k]
-        warnings: list[Warn] = []
-        keep, found = held.released("log", T, table, warnings)
-        assert keep.all()
-        other = np.ones(6, dtype=bool)
-        other[k] = False
-        assert np.array_equal(found[:, other], truth[:, other])
-        assert np.abs(found - truth)[:, k].mean() < 0.3 * np.abs(table - truth)[:, k].mean()
-        assert [w.code for w in warnings] == ["imu-held"]
+def test_where_the_accelerometer_is_held_a_line_between_its_values_is_far_nearer_and_the_gyro_stays() -> None:
+    truth, table = measured(), measured()
+    table[:, 3:] = holding(truth, 10)[:, 3:]
+    warnings: list[Warn] = []
+    keep, found = held.released("log", T, table, warnings)
+    assert keep.all()
+    assert np.array_equal(found[:, :3], truth[:, :3])
+    assert np.abs(found - truth)[:, 3:].mean() < 0.3 * np.abs(table - truth)[:, 3:].mean()
+    assert [w.code for w in warnings] == ["imu-held"]
+
+
+@pytest.mark.parametrize("samples", [5, 10])
+def test_where_the_gyro_is_held_its_new_values_count_with_the_mean_force_about_them(samples: int) -> None:
+    table = measured()
+    table[:, 3:] = T[:, None] * [1.0, -2.0, 3.0] + np.random.default_rng(2).normal(0.0, 0.1, (len(T), 3))
+    table[:, :3] = holding(table, samples)[:, :3]
+    warnings: list[Warn] = []
+    keep, found = held.released("log", T, table, warnings)
+    assert np.array_equal(np.flatnonzero(keep), np.arange(0, len(T), samples))
+    assert np.array_equal(found[keep, :3], table[::samples, :3])
+    off = (found[keep, 3:] - T[keep, None] * [1.0, -2.0, 3.0])[1:-1]
+    assert np.abs(off.mean(axis=0)).max() < 0.01
+    assert off.std() == pytest.approx(0.1 / np.sqrt(samples), rel=0.1)
+    assert "rows of new values" in warnings[0].message
 
 
 def test_where_both_are_held_the_rows_of_new_values_are_kept() -> None:
@@ -80,6 +92,7 @@ def test_a_log_tells_it_once_and_a_stuck_sensor_stays_stuck() -> None:
     recording = Recording(Path("log.csv"), "csv", (channel,), len(T))
     log = prepare([recording], Settings())
     assert [w.code for w in log.warnings][:2] == ["imu-held", "imu-stuck"]
+    assert "stuck for 2.95 s" in log.warnings[1].message
     assert log.gaps[0] == pytest.approx([30.0, 33.0], abs=0.06)
     clean = dict(zip(COLUMNS["imu"], measured().T, strict=True))
     assert "imu-held" not in {
