@@ -18,6 +18,7 @@ from .stillness import (
     LONE_STOP_S,
     Quiet,
     Thresholds,
+    Windows,
     agreeing,
     at_rest,
     gap_edges,
@@ -30,7 +31,8 @@ from .stillness import (
     window_moments,
 )
 
-FAST = 20.0  # times the largest bias that is believed: where nothing else is quiet, it is asked about
+FAST, FASTEST_RAD_S = 20.0, 0.2  # of the largest bias that is believed: where nothing else is quiet, one is asked about
+LOUD = 3.0  # times the noise that is stated: no window of the log is as calm
 JUMP = math.radians(0.5)  # rad/s: a bias that jumps by more leaves the motion before it too wide open
 RARE = 0.1  # share of the log below which stops are doubted when the noise is not stated
 
@@ -83,9 +85,10 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         still[:] = False  # the noise was taken from the motion itself, of which these are the calmest moments
         margin = math.nan
     segments = as_segments(still, imu.t, edges, stops.window_s / 2)
-    told = doubts(still, limits, margin, found, quiet) + jumps(agreed, quiet)
+    told = doubts(still, limits, margin, found, quiet, louder(windows, imu.t, settings)) + jumps(agreed, quiet)
     if not found.start.size:
-        told += fast(quiet_intervals(windows, sigmas, limits.enter, turning, settings, FAST))
+        factor = max(FAST, FASTEST_RAD_S / settings.imu.gyro_bias_sigma)
+        told += fast(quiet_intervals(windows, sigmas, limits.enter, turning, settings, factor))
     return Segmentation(
         segments=segments,
         statistic=statistic,
@@ -155,11 +158,29 @@ def as_segments(still: Bools, t: Array, edges: Ints, shrink_s: float) -> tuple[S
     return tuple(segments)
 
 
-def doubts(still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet: Quiet) -> tuple[Warn, ...]:
-    """What the user should know about the stops that were found."""
+def louder(windows: Windows, t: Array, settings: Settings) -> str:
+    """Say by how much even the calmest windows are noisier than is stated; nothing where they are not."""
+    stated = sensor_noise(windows, t, settings)
+    free = {"gyro_noise_density": None, "accel_noise_density": None}
+    seen = sensor_noise(windows, t, settings.model_copy(update={"imu": settings.imu.model_copy(update=free)}))
+    said = [
+        f"the {sensor} is {own / wanted:.3g} times as noisy as [imu] {name} states"
+        for sensor, name, own, wanted in zip(("gyro", "accelerometer"), free, seen, stated, strict=True)
+        if own > LOUD * wanted
+    ]
+    return " and ".join(said)
+
+
+def doubts(
+    still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet: Quiet, loud: str = ""
+) -> tuple[Warn, ...]:  # fmt: skip
+    """What the user should know about the stops that were found; ``loud``: by how much nothing is as calm as stated."""
     by_hand = "give the stops by hand with --stops FILE"
     warnings = []
-    if not still.any():
+    if not still.any() and loud:
+        fact = f"no stop found in this log: at its calmest {loud}"
+        warnings.append(Warn("no-stop", fact, f"mend what is stated; if something shook while it rested, {by_hand}"))
+    elif not still.any():
         warnings.append(Warn("no-stop", "no stop found in this log", f"if the vehicle did rest, {by_hand}"))
     elif margin < limits.leave / limits.enter:
         fact = f"stops and motion are hard to tell apart: the calmest motion is {margin:.1f} times the stop threshold"

@@ -175,6 +175,23 @@ def test_a_bias_beyond_what_is_believed_is_asked_about(bias: float, codes: list[
     assert [w.code for w in find_segments(log, Settings()).warnings] == codes
 
 
+def test_a_bias_beyond_what_is_stated_is_asked_about_however_little_that_is() -> None:
+    imu = Settings().imu.model_copy(update={"gyro_bias_sigma": 1e-6})
+    log = still_log(60.0, rate_b=np.full(6000, 0.01))
+    found = find_segments(log, Settings().model_copy(update={"imu": imu}))
+    assert [w.code for w in found.warnings] == ["no-stop", "gyro-bias"]
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "accelerometer"])
+def test_where_nothing_is_as_calm_as_stated_the_noise_is_named(sensor: str) -> None:
+    tiny = {"gyro_noise_density" if sensor == "gyro" else "accel_noise_density": 1e-7}
+    given = Settings().model_copy(update={"imu": Settings().imu.model_copy(update=tiny)})
+    found = find_segments(still_log(60.0), given)
+    assert [w.code for w in found.warnings] == ["no-stop"]
+    assert f"at its calmest the {sensor} is" in found.warnings[0].message
+    assert not find_segments(still_log(60.0), Settings()).warnings
+
+
 def test_a_stop_after_the_bias_has_moved_is_said() -> None:
     t = np.arange(0.0, 120.0, 0.01)
     driving = np.where((t > 20.0) & (t < 35.0) | (t > 60.0) & (t < 80.0), 0.2 * np.sin(2.0 * t), 0.0)
