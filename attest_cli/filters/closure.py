@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,6 +29,7 @@ GROSS_BIAS = 0.2  # m/s^2; a gyro turned 1.2 deg against the accelerometer would
 SEEN, LEVEL = 0.2, 2.0  # of what a bias shows in the axis that shows it best; level over plumb: plumb, it tilts nothing
 SURE = 5.0  # sigma from which a bias or a rest contradicts
 CHANCE, USUAL = 1e-4, 0.01  # that noise opens so much, or gains so much; that it leaves so much
+EXPLAINED = 1e-5  # chance that noise, however large, is explained so wholly
 LEAST_CHANGE = 0.02  # m/s^2: 2 mg, what an accelerometer drifts in a day
 CALM_S, SHAKES = 4.0, 1.5  # of a rest that is no stop; times the noise at the stops
 HINT = "put signs, order and units right in the driver, or with --columns; [imu] mounting turns both together"
@@ -176,13 +178,20 @@ def _accelerometer(found: Sequence[Motion], turned: Sequence[Array], noise: Nois
 
 
 def _closes(left: Array, off: Array, unknowns: int) -> bool:
-    """Whether so many ``unknowns`` explain motions that were ``off``, in sigma: what is gained is no noise, what is
+    r"""Whether so many ``unknowns`` explain motions that were ``off``, in sigma: what is gained is no noise, what is
     ``left`` is; or, where noise is not what it is said to be, hardly anything is left.
+
+    Of noise of any size :math:`u` unknowns leave a share of :math:`a` angles that has the beta distribution
+    :math:`B(\frac{a-u}2,\frac u2)`: below a small :math:`r` by a chance of :math:`r^{(a-u)/2}/(\frac{a-u}2B)`.
     """
     remains, before = float(left @ left), float(off @ off)
     angles = len(off) // 3 * 2  # the size of specific force has none
     if remains < CLOSES**2 * before:
-        return before > upper_quantile(angles, CHANCE)
+        p, q = 0.5 * (angles - unknowns), 0.5 * unknowns
+        log_beta = math.lgamma(p) + math.lgamma(q) - math.lgamma(p + q) if p > 0.0 and q > 0.0 else math.inf
+        share = math.log(max(remains / before, 1e-300))
+        wholly = p > 0.0 and p * share - math.log(p) - log_beta < math.log(EXPLAINED)
+        return wholly or before > upper_quantile(angles, CHANCE)
     noise = upper_quantile(max(angles - unknowns, 1), USUAL)
     return remains < noise and before - remains > upper_quantile(max(unknowns, 1), CHANCE)
 

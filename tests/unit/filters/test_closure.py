@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from support.drives import Job, simulated
 
 from attest_cli.filters import Drive
-from attest_cli.filters.closure import Motion, doubts
+from attest_cli.filters.closure import EXPLAINED, Motion, _closes, doubts
 from attest_cli.maths.axes import signed_permutations
 from attest_cli.nodes.noise import Noise
 from attest_cli.records import Log, Warn
@@ -123,3 +123,15 @@ def test_a_rest_that_contradicts_the_bias_is_held_against_gravity(job: Job, move
     log = replace(job.log, imu=replace(job.log.imu, gyro_b=job.log.imu.gyro_b + moved * late * [1.0, 0.0, 0.0]))
     told = doubts(replace(drive(job, log), segmentation=doubted), raised=False)
     assert [(w.code, w.fatal) for w in told] == ([("gyro-bias", True)] if moved else [])
+
+
+def test_what_is_explained_to_the_last_is_no_chance_however_large_the_noise_may_be() -> None:
+    rng = np.random.default_rng(1)
+    off, left = (np.concatenate([[size], np.zeros(8)]) for size in (20.0**0.5, 0.01**0.5))
+    assert _closes(left, off, 2)
+    assert not _closes(0.1 * off, off, 2)
+    assert not _closes(0.05 * off[:6], off[:6], 2)
+    shares, r = rng.beta(2.0, 1.0, 200_000), 0.02  # six angles, two of them explained
+    assert np.mean(shares < r) == pytest.approx(r**2, rel=0.3)
+    edge = EXPLAINED**0.5
+    assert [_closes(off * (f * edge) ** 0.5, off, 2) for f in (0.9, 1.1)] == [True, False]
