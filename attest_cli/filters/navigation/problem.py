@@ -27,7 +27,7 @@ from .wheels import wheel_states, wheels_of
 
 TILT_SIGMA, HEADING_SIGMA, DATUM = 0.3, 1.0, 1e-4  # rad, at the first node
 STILL_M_S = 0.01  # a stop may rock this much
-BOUND_S = 1.0  # correlation time of speed and place
+SPEED_S, PLACE_S = 1.0, 10.0  # correlation times of the bounds: speed turns soon, who stands elsewhere stays there
 RATE_SHARE = 1e-3  # of the rate: what scale and misalignment leave as noise, rad/s/sqrt(Hz)
 ACCEL_FLOOR, ACCEL_SHARE = 0.05, 0.03  # m/s^2/sqrt(Hz) in motion where no density is stated; share of the acceleration
 SCALE_SIGMA = 5e-3
@@ -234,9 +234,9 @@ def _inertial_aids(drive: Drive, nodes: Nodes) -> list[Aid]:
     place, speed = MOTIONS[motion_of(drive)]
     if len(moving):
         every = np.gradient(t)[moving] if len(t) > 1 else np.ones(1)
-        inflated = np.sqrt(np.maximum(1.0, 2.0 * BOUND_S / every))
+        slow, inflated = (np.sqrt(np.maximum(1.0, 2.0 * lasts / every)) for lasts in (PLACE_S, SPEED_S))
         if np.isfinite(place):
-            aids.append(Bound("place", "position", moving, t[moving], place * inflated, robust=True))
+            aids.append(Bound("place", "position", moving, t[moving], place * slow, robust=True))
         seen = {"gps", "gps_velocity", "position"} & drive.log.fixes.keys()
         if not seen or "odometry" in drive.log.fixes or drive.settings.navigation.motion != "auto":
             aids.append(Bound("speed", "velocity", moving, t[moving], speed * inflated, robust=True))

@@ -13,7 +13,7 @@ from support.drives import effective
 from attest_cli.filters import Drive, indirect
 from attest_cli.filters.navigation.aids import Magnetometer, Place, Wheels
 from attest_cli.filters.navigation.model import linearise
-from attest_cli.filters.navigation.problem import Problem, assemble
+from attest_cli.filters.navigation.problem import MOTIONS, PLACE_S, Problem, assemble
 from attest_cli.filters.navigation.rounds import believed
 from attest_cli.filters.navigation.start import heading_of_wheels, mirrored
 from attest_cli.maths import rotation
@@ -124,3 +124,20 @@ def test_a_slow_rover_finds_north_by_its_wheels(turn: float) -> None:
     assert mirrored(imu, t, q, replace(place, place_n=swapped), wheels)
     straight = np.stack([np.linspace(0.0, 90.0, len(seen)), np.zeros(len(seen)), np.zeros(len(seen))], axis=1)
     assert not mirrored(imu, t, q, replace(place, place_n=straight), wheels)
+
+
+def test_the_bound_on_the_place_of_a_hand_counts_once_for_every_ten_seconds() -> None:
+    """Else the mean place of a minute would be known to a quarter of a metre, and who takes a step is off by more."""
+    work = drive()
+    held = work.settings.model_copy(update={"navigation": work.settings.navigation.model_copy(
+        update={"motion": "handheld"})})  # fmt: skip
+    work = replace(work, settings=held)
+    nodes = indirect.forward(work, np.zeros(0)).nodes
+    assert nodes is not None
+    q, none = np.tile([1.0, 0.0, 0.0, 0.0], (len(nodes.t), 1)), np.zeros((len(nodes.t), 3))
+    made = assemble(work, nodes, q, none, "absolute", {}, None)
+    (place,) = (aid for aid in made.aids if aid.role == "place")
+    moves = float(np.sum(np.gradient(nodes.t)[nodes.moving]))
+    share = float(np.sum(place.sigma**-2.0)) * MOTIONS["handheld"][0] ** 2
+    assert share == pytest.approx(moves / (2.0 * PLACE_S), rel=0.01)
+    assert PLACE_S >= 10.0
