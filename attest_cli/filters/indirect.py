@@ -52,11 +52,12 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
     nodes, found, raised = consistent_run(begun.nodes, begun.start, gate, begun.run)
     causes = closure.doubts(drive, raised=raised > 1.0)
     asked = epochs is None and not _spared(causes)  # navigation has states for it
-    better, told = scale.mended(drive, *scale.learn(begun.nodes, _ungated(begun))) if asked else (None, ())
+    better, told = _scaled(begun) if asked else (None, ())
     if better is not None:
-        again = _begin(better, None) if told else _noisier(begun, better)
+        mends = better.log is not drive.log
+        again = _begin(better, None) if mends else _noisier(begun, better)
         solved = consistent_run(again.nodes, again.start, gate, again.run)
-        if solved[2] <= (1.0 if told else raised) and (not told or _less_left(begun.run, again.run)):
+        if solved[2] <= (1.0 if mends else raised) and (not mends or _less_left(begun.run, again.run)):
             begun, (nodes, found, raised) = replace(again, warnings=(*again.warnings, *told)), solved
             causes = closure.doubts(better, raised=raised > 1.0)
     noise, warnings = begun.drive.noise, [*begun.warnings]
@@ -74,6 +75,20 @@ def _begin(drive: Drive, epochs: Array | None) -> Begun:
     nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, settings, epochs)
     start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=drive.world.field_n is None)
     return Begun(drive, nodes, start, run(nodes, start, settings.smoothing.gate_probability), tuple(warnings))
+
+
+def _scaled(begun: Begun) -> tuple[Drive | None, tuple[Warn, ...]]:
+    """Return the drive with another scale of the gyro, or noise for it, where its sensors show one; told where sure."""
+    ungated = _ungated(begun)
+    alone = scale.learn(begun.nodes, ungated)
+    better, told = scale.mended(begun.drive, *alone)
+    if better is not None or not scale.ALIKE & begun.drive.log.fixes.keys():
+        return better, told
+    error, sigma = scale.learn(begun.nodes, ungated, scale.ASKED | scale.ALIKE)
+    better, told = scale.doubted(begun.drive, alone, (error, sigma))
+    if better is None or not _less_left(begun.run, _begin(scale.without(begun.drive, error), None).run, error / sigma):
+        return None, ()  # it does not explain what the compass misses
+    return better, told
 
 
 def _noisier(begun: Begun, drive: Drive) -> Begun:
@@ -100,10 +115,12 @@ def _refused(found: FilterRun) -> float:
     return float(np.mean(~found.innovations.used[others])) if others.any() else 0.0
 
 
-def _less_left(before: FilterRun, after: FilterRun) -> bool:
-    """Whether a scale error that is taken out leaves less to explain, of all sensors, and no more refused."""
+def _less_left(before: FilterRun, after: FilterRun, sigmas: float = scale.SURE) -> bool:
+    """Whether a scale error of so many ``sigmas`` that is taken out leaves less to explain, of all sensors, and no more
+    refused.
+    """
     left = [float(np.minimum(run.innovations.nis, FAR).sum()) for run in (before, after)]
-    return left[1] < left[0] - 0.5 * scale.SURE**2 and _refused(after) <= _refused(before)
+    return left[1] < left[0] - 0.5 * sigmas**2 and _refused(after) <= _refused(before)
 
 
 def _spared(causes: Sequence[Warn]) -> bool:

@@ -9,7 +9,7 @@ import pytest
 from support.drives import Job, simulated
 
 from attest_cli.filters import Drive, indirect
-from attest_cli.filters.scale import learn, mended
+from attest_cli.filters.scale import doubted, learn, mended
 from attest_cli.nodes import build_nodes
 from attest_cli.nodes.observations import observe
 from attest_cli.simulate import RoverOptions
@@ -105,3 +105,27 @@ def test_iron_in_a_compass_is_no_scale_of_the_gyro(seed: int) -> None:
     log = replace(made.log, fixes={**made.log.fixes, "compass": bent})
     drive = Drive(log, made.segmentation, made.world, replace(made.noise, gyro_scale=0.003), made.settings)
     assert "gyro-scale" not in {w.code for w in indirect.forward(drive).warnings}
+
+
+@pytest.mark.parametrize(("factor", "off_deg", "shown"), [(0.98, 0.0, True), (1.0, 0.0, False), (1.0, 15.0, False)])
+def test_a_scale_that_only_the_compass_shows_counts_as_noise(factor: float, off_deg: float, shown: bool) -> None:
+    """Not what the compass reads at one stop, which no scale explains."""
+    made = simulated(RoverOptions(seed=14, duration_s=90.0, rate_hz=50.0, motions=2, stop_s=(8.0, 12.0), sun=False,
+                                  compass=True))  # fmt: skip
+    compass, (stop, *_) = made.log.fixes["compass"], made.segmentation.stops
+    values = compass.values + np.radians(off_deg) * (compass.t < stop.end)[:, None]
+    imu = replace(made.log.imu, gyro_b=factor * made.log.imu.gyro_b)
+    log = replace(made.log, imu=imu, fixes={"compass": replace(compass, values=values)})
+    found = indirect.forward(Drive(log, made.segmentation, made.world, made.noise, made.settings))
+    assert (found.noise.gyro_scale > 0.015) == shown
+
+
+def test_a_doubt_of_the_compass_needs_to_be_sure_to_be_told(job: Job) -> None:
+    drive = scaled(job, 1.0)
+    none = (0.0, np.inf)
+    assert doubted(drive, none, (0.004, 0.002)) == (None, ())
+    assert doubted(drive, (0.0, 0.002), (0.01, 0.0019)) == (None, ())  # gravity contradicts it
+    for error, told in ((0.006, 0), (0.01, 1)):
+        better, warnings = doubted(drive, none, (error, 0.002))
+        assert better is not None
+        assert (better.noise.gyro_scale, better.log, len(warnings)) == (error, drive.log, told)
