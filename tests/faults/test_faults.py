@@ -20,15 +20,15 @@ from support.faults import GRADES_BAD, grade  # noqa: E402
 SLOW = {"gps", "hand", "level", "orientation"}  # kinds that the navigation filter or many measurements take
 SOME = {"clean gps", "clean level"}
 LIKE_OTHERS = """
-    NaN covariances|hard iron 50 %|IMU at 10 Hz
-    IMU frozen 10 s|IMU frozen 10 s, no heading|accelerometer axis stuck 5 s|accelerometer constant
-    accelerometer in mg|accelerometer reversed|accelerometer saturates|accelerometer x and y swapped
-    accelerometer x reversed, sun|bad covariances|batches of 4 share a stamp|clean compass|clean walk|comments
-    both z, y, x (left-handed), bare|column twice|compass 5 s late|compass counter-clockwise|compass from east
-    compass in rad|compass outliers 1 %|counts of 16 bits as floats|float32 values|gap of 1000 s|gap of 20 s
-    gravity removed, sun|gyro all zero|gyro and accelerometer x and y swapped|gyro axis stuck 0.5 s
-    gyro axis stuck 30 s|gyro bias drifts|gyro bias of 3 deg/s|gyro holds its values, twice|gyro in deg/s, sun|gyro reversed
-    gyro scale 5 %|gyro stated deg/s, is rad/s|gyro x and z swapped|gyro z reversed, compass|gyro z reversed, sun|hard iron 20 %
+    NaN covariances|hard iron 50 %|IMU at 10 Hz|IMU frozen 10 s|IMU frozen 10 s, no heading
+    accelerometer axis stuck 5 s|accelerometer constant|accelerometer in mg|accelerometer reversed
+    accelerometer saturates|accelerometer x and y swapped|accelerometer x reversed, sun|bad covariances
+    batches of 4 share a stamp|clean compass|clean walk|comments|both z, y, x (left-handed), bare|column twice
+    compass 5 s late|compass counter-clockwise|compass from east|compass in rad|compass outliers 1 %
+    counts of 16 bits as floats|float32 values|gap of 1000 s|gap of 20 s|gravity removed, sun|gyro all zero
+    gyro and accelerometer x and y swapped|gyro axis stuck 0.5 s|gyro axis stuck 30 s|gyro bias drifts
+    gyro bias of 3 deg/s|gyro holds its values, twice|gyro in deg/s, sun|gyro reversed|gyro scale 5 %
+    gyro stated deg/s, is rad/s|gyro x and z swapped|gyro z reversed, compass|gyro z reversed, sun|hard iron 20 %
     header repeated amid the rows|inf cells|jitter of 1 ms at 10 Hz|jitter of 3 ms|magnetometer 1 s late
     magnetometer NaN in half the rows|magnetometer in T|magnetometer in mG|magnetometer outliers 20 %
     magnetometer x and y swapped|magnetometer z reversed|negative covariances|no absolute sensor|odometry 5 s late
