@@ -15,9 +15,9 @@ import numpy as np
 from .errors import AttestError
 from .estimate import Progress, silent
 from .filters.choice import choose as choose_filter
-from .maths import rotation
 from .mounting import up_at_stops
 from .nodes.observations import at_stop
+from .nodes.sun import sun_angles
 from .pipeline import appraise, emptied
 from .prepare import choose, prepare
 from .readers import read as read_file
@@ -32,7 +32,6 @@ UNGUARDED = frozenset({"csv", "bag", "db3", "ulog"})
 MESSAGES = frozenset({"mcap", "bag", "db3"})  # formats whose messages have a stamp and a time of logging
 SENSORS = ("sun", "compass", "magnetometer", "orientation", "odometry", "gps", "gps_velocity", "position", "height")
 GROUPS = ("file", "stamps", "values", "units", "mounting", *SENSORS, "stops", "verdict")
-FAR_DEG = 3.0  # sun and reference; the stops lean, the sensor's mount too
 PLACES = (
     ("damaged-* cut-* write-ahead-log logger-dropouts decimated-imu", "file", "whole"),
     ("ragged-rows text-cells thousands-separators no-such-column no-text-log rows-without-time", "file", "table"),
@@ -53,6 +52,7 @@ PLACES = (
     ("no-stop tilt-from-motion stop-margin", "stops", "found"),
     ("stop-advice", "stops", "advice"),
     ("stop-* *-gravity *-zero_rate", "stops", "stillness"),
+    ("sun-reference", "sun", "reference"),
     ("magnetometer-uncalibrated no-magnetic-reference field-reference", "magnetometer", "reference"),
     ("calibration-* gyro-noise-* gyro-bias *bias-* no-bias", "verdict", "noise"),
     ("data", "stamps", "rate"),
@@ -278,20 +278,12 @@ def _of_stops(log: Log, segmentation: Segmentation, world: World, settings: Sett
 
 
 def _sun(log: Log, segmentation: Segmentation, fixes: Fixes, sun_n: Array, settings: Settings) -> Finding:
-    """Hold the angle of the sun from up at the stops against that of its reference."""
-    still = at_stop(fixes.t, segmentation)
-    if not still.any():
+    """Tell the angle of the sun from up at the stops beside that of its reference."""
+    angles = sun_angles(fixes, log, segmentation, sun_n, settings)
+    if not len(angles):
         return Finding("sun", "reference", OK, "not seen at a stop")
-    seen = fixes.values[still]
-    if seen.shape[1] == 2:
-        third = np.sqrt(np.maximum(1.0 - np.sum(seen**2, axis=1, keepdims=True), 0.0))
-        seen = np.concatenate([seen, third], axis=1)
-    given = _angle(np.broadcast_to(sun_n, (len(fixes.t), 3))[still], np.eye(3)[2:])
-    found = _angle(seen @ rotation.matrix(np.array(settings.sun.mounting)).T, _up(log, fixes.t[still]))
-    text = f"{found:.1f} deg from up at the stops, its reference {given:.1f} deg"
-    if abs(found - given) <= FAR_DEG + 3.0 * settings.sun.sigma_deg:
-        return Finding("sun", "reference", OK, text)
-    return Finding("sun", "reference", WARNING, text, "[world] sun_direction, or [sun] mounting")
+    found, given = np.degrees(np.median(angles, axis=0))
+    return Finding("sun", "reference", OK, f"{found:.1f} deg from up at the stops, its reference {given:.1f} deg")
 
 
 def _field(log: Log, segmentation: Segmentation, fixes: Fixes, world: World) -> str:

@@ -53,6 +53,18 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
     return seen / max(level, STEEPEST) if counts else 0.0, told
 
 
+def steepness(fixes: Fixes, log: Log, segmentation: Segmentation, world: World) -> float:
+    r"""Return by how much an error of tilt turns the heading: :math:`|\tan I|` of the field's dip, by its reference or
+    at the stops; 0 where neither tells.
+    """
+    if world.field_n is not None:
+        sine = float(abs(world.field_n[2]) / max(np.linalg.norm(world.field_n), 1e-300))
+    else:
+        sines = _dips(fixes, log, segmentation)
+        sine = float(np.abs(np.median(sines))) if len(sines) else 0.0
+    return sine / max(float(np.sqrt(max(1.0 - sine**2, 0.0))), STEEPEST)
+
+
 def _normalised(fixes: Fixes, sizes: Array, log: Log) -> list[Warn]:
     """Say that the size of the field was taken out: no sensor is so still."""
     if np.ptp(sizes) > SAME * np.median(sizes) or any(warning.code == TAKEN_OUT for warning in log.warnings):

@@ -13,8 +13,9 @@ from ..sensors import Direction, Sensor
 from ..sensors.heading import BodyHeading, FieldHeading
 from ..sensors.orientation import Orientation
 from ..settings import Settings
-from .field import field_doubts
+from .field import field_doubts, steepness
 from .noise import Noise, reference_bias, stop_ranges
+from .sun import sun_doubts
 
 FIELD_CORRELATION_S = 5.0  # a disturbed magnetic field stays disturbed this long in motion (design note, question 1)
 WINDOW_S = 10.0  # accelerometer window that stands in for a stop where a log has none
@@ -61,6 +62,8 @@ def observe(
     for role, build in (("sun", _sun), ("compass", _compass), ("orientation", _orientation)):
         if role in log.fixes:
             found += build(log.fixes[role], segmentation, world, settings, policy, warnings)
+    if any(o.role == "sun" for o in found):
+        warnings += sun_doubts(log.fixes["sun"], log, segmentation, world, settings)
     if "magnetometer" in log.fixes:
         if world.field_n is None and any(o.role in {"sun", "compass", "orientation"} for o in found):
             warnings.append(
@@ -69,9 +72,11 @@ def observe(
                      "set [world] latitude_deg and longitude_deg, or magnetic_field_ut")
             )  # fmt: skip
         else:
-            iron, told = field_doubts(log.fixes["magnetometer"], log, segmentation, world)
+            field = log.fixes["magnetometer"]
+            iron, told = field_doubts(field, log, segmentation, world)
             warnings += told
-            found += _magnetometer(log.fixes["magnetometer"], segmentation, world, settings, policy, iron)
+            tilt = settings.imu.accel_bias_sigma / world.gravity * steepness(field, log, segmentation, world)
+            found += _magnetometer(field, segmentation, world, settings, policy, float(np.hypot(iron, tilt)))
     return sorted(found, key=lambda o: o.t), warnings
 
 
@@ -196,10 +201,12 @@ def _sun(
     if rows == 2:
         use &= across < 1.0 + 5 * np.radians(cfg.sigma_deg)
     if not use.any():
-        warnings.append(
-            Warn("sun-not-used", f"none of {len(use)} sun measurements could be used",
-                 "they are in motion with absolute = stops, out of view, or the sun is near the vertical")
-        )  # fmt: skip
+        message = f"none of {len(use)} sun measurements could be used"
+        hint = "they are in motion with absolute = stops, out of view, or the sun is near the vertical"
+        if not np.any(reference[:, 2] > 0.0):
+            message += ": by its reference the sun is below the horizon"
+            hint = "check [world] sun_direction (east, north, up), or time and place"
+        warnings.append(Warn("sun-not-used", message, hint))
     R_sb = rotation.matrix(np.array(cfg.mounting)).T
     kind = "plane" if rows == 2 else "tangent"
     t, usable = fixes.t[use], Fixes("sun", fixes.channel, fixes.t[use], fixes.values[use])
@@ -258,9 +265,9 @@ def _orientation(
 def _magnetometer(
     fixes: Fixes, segmentation: Segmentation, world: World, settings: Settings, policy: str, iron: float
 ) -> list[Observation]:
-    """One heading per stop, with the error of the place and of ``iron``, rad; in motion (``always``) one a second,
-    inflated for its correlation. What iron does to heading is the same wherever the body points the same way: headings
-    that are few share it.
+    """One heading per stop, with the error of the place and of ``iron`` or tilt, rad; in motion (``always``) one a
+    second, inflated for its correlation. What iron does to heading is the same wherever the body points the same way:
+    headings that are few share it.
     """
     azimuth = 0.5 * np.pi if world.field_n is None else float(np.arctan2(world.field_n[1], world.field_n[0]))
     shared = min(max(len(segmentation.stops), 1), FEW_HEADINGS)

@@ -65,8 +65,13 @@ def doubts(name: str, t: Array, gyro: Array, accel: Array) -> list[Warn]:
 
 def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
     """Return what is told without what another fault of axes explains: of two readings of gyro against accelerometer
-    the last, which a whole motion shows; the field's, where that blames the gyro; and noise that comes of it.
+    the last, which a whole motion shows; the field's, where that blames the gyro; and noise of the gyro that comes of
+    it, or of a sun or an orientation that contradicts gravity.
     """
+    codes = {warn.code for warn in told}
+    if codes & {"sun-reference", "orientation-order"}:
+        sure = "orientation-order" not in codes  # which is fatal itself
+        told = [warn for warn in told if warn.code != "gyro-noise-raised" or (warn.fatal and sure)]
     mine = [warn for warn in told if warn.code == ACCEL and warn.fatal]
     if not mine:
         return tuple(told)

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from support.drives import Job, simulated
 
-from attest_cli.nodes.field import field_doubts
+from attest_cli.nodes.field import field_doubts, steepness
+from attest_cli.nodes.observations import observe
 from attest_cli.simulate import RoverOptions
 
 Array = NDArray[np.float64]
@@ -73,3 +74,19 @@ def test_iron_is_told_and_covers_heading(job: Job, change: Array) -> None:
     iron, told = doubted(job, change)
     assert told
     assert iron > np.radians(5.0)
+
+
+def test_a_steep_field_makes_heading_of_tilt(job: Job) -> None:
+    fixes, world = job.log.fixes["magnetometer"], job.world
+    assert world.field_n is not None
+    steep = abs(world.field_n[2]) / float(np.hypot(world.field_n[0], world.field_n[1]))
+    assert steepness(fixes, job.log, job.segmentation, world) == pytest.approx(steep)
+    blind = replace(world, field_n=None)
+    assert steepness(fixes, job.log, job.segmentation, blind) == pytest.approx(steep, rel=0.02)
+    sure = job.settings.model_copy(update={
+        "magnetometer": job.settings.magnetometer.model_copy(update={"sigma_deg": 0.01}),
+        "imu": job.settings.imu.model_copy(update={"accel_bias_sigma": 0.02}),
+    })  # fmt: skip
+    observed, _ = observe(job.log, job.segmentation, world, job.noise, sure)
+    sigma = min(float(o.noise[0, 0]) ** 0.5 for o in observed if o.role == "magnetometer")
+    assert sigma > 0.02 / world.gravity * steep

@@ -72,3 +72,12 @@ def test_of_two_readings_of_one_fault_the_one_that_explains_is_kept() -> None:
     assert foremost((early, field, other, noise, late)) == (other, late)
     assert foremost((late, field, other, noise, early)) == (field, other, early)
     assert foremost((field, noise, other)) == (field, noise, other)
+
+
+def test_a_sun_or_an_orientation_that_contradicts_gravity_explains_noise_of_the_gyro() -> None:
+    noise, loud = (Warn("gyro-noise-raised", "drifts", fatal=fatal) for fatal in (False, True))
+    sun, order = Warn("sun-reference", "stands elsewhere"), Warn("orientation-order", "x, y, z, w", fatal=True)
+    assert foremost((sun, noise)) == (sun,)
+    assert foremost((sun, loud)) == (sun, loud)
+    assert foremost((order, loud)) == (order,)
+    assert foremost((loud,)) == (loud,)
