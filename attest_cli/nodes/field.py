@@ -8,6 +8,7 @@ from ..records import Array, Fixes, Log, Segmentation, Warn, World
 
 SIZE_OFF, DIP_OFF = 0.1, np.radians(5.0)  # share of the field, rad: what a calibrated sensor out of doors keeps to
 CALIBRATED, BIAS_OFF = 0.02, 0.07  # of the field: off the reference by less does not count; by more is told
+VAGUE = np.radians(5.0)  # of heading: what makes it so unsure is told
 TURNED = np.radians(60.0)  # no iron that a magnetometer is used beside turns the dip so far
 TURNED_HINT = "is the reference of this place, latitude north or south, and are the sensor's signs right?"
 NORMALISED = 1e-3  # spread of a field whose size was taken out
@@ -38,7 +39,8 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
     if reference is not None:
         whole = float(np.linalg.norm(reference))
         level = float(np.hypot(reference[0], reference[1])) / whole
-        biased = abs(usual / whole - 1.0) if spread > NORMALISED else 0.0
+        sized = spread > NORMALISED and all(warning.code != TAKEN_OUT for warning in log.warnings)
+        biased = abs(usual / whole - 1.0) if sized else 0.0
         if len(sines):
             dip_off = float(np.max(np.abs(np.arcsin(sines) - np.arcsin(-reference[2] / whole))))
     size_off, turned = max(spread, biased), float(np.sin(min(dip_off, 0.5 * np.pi)))
@@ -47,10 +49,13 @@ def field_doubts(fixes: Fixes, log: Log, segmentation: Segmentation, world: Worl
     facts += [f"its dip at the stops is {np.degrees(dip_off):.0f} deg off"] if dip_off > DIP_OFF else []
     seen = float(np.hypot(size_off if facts else biased, turned))  # iron that turns heading shows in neither
     counts = bool(facts) or (reference is not None and seen > CALIBRATED)
+    heading = seen / max(level, STEEPEST) if counts else 0.0
+    if not facts and heading > VAGUE:
+        facts = [f"its size is {100 * biased:.0f} % and its dip at the stops {np.degrees(dip_off):.0f} deg off"]
     hint = HINT if dip_off < TURNED else TURNED_HINT
     told = [Warn("magnetometer-uncalibrated", f"the magnetic field is not the Earth's: {' and '.join(facts)}", hint)]
     told = told if facts else [*_normalised(fixes, sizes, log), *_disturbed(fixes, sizes / usual - 1.0)]
-    return seen / max(level, STEEPEST) if counts else 0.0, told
+    return heading, told
 
 
 def steepness(fixes: Fixes, log: Log, segmentation: Segmentation, world: World) -> float:

@@ -9,8 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from support.drives import Job, simulated
 
+from attest_cli.maths import rotation
 from attest_cli.nodes.field import field_doubts, steepness
 from attest_cli.nodes.observations import observe
+from attest_cli.records import Warn
 from attest_cli.simulate import RoverOptions
 
 Array = NDArray[np.float64]
@@ -90,3 +92,16 @@ def test_a_steep_field_makes_heading_of_tilt(job: Job) -> None:
     observed, _ = observe(job.log, job.segmentation, world, job.noise, sure)
     sigma = min(float(o.noise[0, 0]) ** 0.5 for o in observed if o.role == "magnetometer")
     assert sigma > 0.02 / world.gravity * steep
+
+
+def test_what_makes_heading_vague_is_told_however_little_of_the_field_it_is(job: Job) -> None:
+    tilted = rotation.matrix(rotation.exp_quaternion(np.radians([3.0, 0.0, 0.0])))
+    iron, told = doubted(job, np.hstack([tilted, np.zeros((3, 1))]))
+    assert np.degrees(iron) > 5.0
+    assert len(told) == 1
+    assert "its dip at the stops" in told[0]
+    fixes = job.log.fixes["magnetometer"]
+    known = replace(job.log, warnings=(Warn("magnetometer-normalised", "taken as a normalised field"),))
+    larger = replace(fixes, values=1.06 * fixes.values)
+    assert field_doubts(larger, known, job.segmentation, job.world) == (0.0, [])
+    assert field_doubts(larger, job.log, job.segmentation, job.world)[0] > 0.05
