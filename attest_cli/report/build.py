@@ -197,7 +197,7 @@ def _statistics(run: Run) -> dict[str, Any]:
         "sigma_tilt_median_deg": _median(tilt, t),
         "sigma_tilt_max_deg": float(np.nanmax(tilt)),
         "forward_sigma_heading_max_deg": float(np.max(forward_heading)),
-        **_position_numbers(run.position, t),
+        **_position_numbers(run.position, t, run.log),
         "motions": len(s.motions),
         "stops": len(s.stops),
         "separation_checks": len(apart),
@@ -219,7 +219,7 @@ def _apart(run: Run) -> list[float]:
     return [value for value in found if value is not None]
 
 
-def _position_numbers(position: Position | None, t: Array) -> dict[str, Any]:
+def _position_numbers(position: Position | None, t: Array, log: Log) -> dict[str, Any]:
     if position is None:
         return {"position_usable": False}
     sigma = np.sqrt(np.einsum("kii->k", position.P[:, :2, :2]))
@@ -229,8 +229,16 @@ def _position_numbers(position: Position | None, t: Array) -> dict[str, Any]:
         "position_sigma_median_m": _median(sigma, t),
         "position_sigma_max_m": float(np.nanmax(sigma)),
         "distance_m": float(sum(position.distance.values())),
-        "position_usable": position.usable,
+        "position_usable": position.usable or _as_its_fixes(position, float(np.nanmax(sigma)), log),
     }
+
+
+def _as_its_fixes(position: Position, sigma: float, log: Log) -> bool:
+    """Return whether a place is known as well all along as a fix of the log is: on a short drive no share of its way
+    can be asked for.
+    """
+    known = [f.sigma for role in ("gps", "position") if (f := log.fixes.get(role)) is not None and f.sigma is not None]
+    return position.method == "navigation" and any(sigma <= float(np.nanmedian(each)) for each in known)
 
 
 def _innovations(found: Innovations) -> dict[str, Any]:

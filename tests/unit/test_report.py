@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,9 +15,10 @@ from pydantic import ValidationError
 
 from attest_cli import figures
 from attest_cli.errors import AttestError
-from attest_cli.records import Result, Warn
+from attest_cli.position import Position
+from attest_cli.records import Fixes, Imu, Log, Result, Warn
 from attest_cli.report import Report, TrackRow, html
-from attest_cli.report.build import _median, _position_check
+from attest_cli.report.build import _median, _position_check, _position_numbers
 from attest_cli.report.pages import write_pages
 
 EVIL = '<script>alert(1)</script>"\x1b]0;\u202e'
@@ -196,3 +197,17 @@ def test_an_unusable_position_names_its_cause(
     assert told is not None
     assert said in told["fact"]
     assert ("odometry would hold it" in told["detail"]) == (not roles)
+
+
+@pytest.mark.parametrize(("sigma", "method", "usable"), [
+    (0.9, "navigation", True), (1.2, "navigation", False), (0.9, "odometry", False)])  # fmt: skip
+def test_a_place_as_sure_as_its_fixes_is_usable_however_short_the_drive(
+    sigma: float, method: str, usable: bool
+) -> None:
+    t, zero = np.arange(5.0), np.zeros((5, 3))
+    fixes = Fixes("gps", "fix", t, zero, np.full((5, 3), 1.0))
+    log = Log((), 0, (1e9 * t).astype(np.int64), Imu(t, zero, zero), {"gps": fixes}, np.zeros((0, 2)), {})
+    P = np.tile(sigma**2 * np.eye(3), (5, 1, 1))
+    position = Position(zero, zero, P, {}, {2: 5.0}, False, method, lambda: iter(()))
+    assert _position_numbers(position, t, log)["position_usable"] == usable
+    assert _position_numbers(position, t, replace(log, fixes={}))["position_usable"] is False
