@@ -238,7 +238,8 @@ def _as_its_fixes(position: Position, sigma: float, log: Log) -> bool:
     can be asked for.
     """
     known = [f.sigma for role in ("gps", "position") if (f := log.fixes.get(role)) is not None and f.sigma is not None]
-    return position.method == "navigation" and any(sigma <= float(np.nanmedian(each)) for each in known)
+    level = [float(np.sqrt(2.0) * np.nanmedian(each[:, :2])) for each in known]  # of both axes, as ``sigma`` is
+    return position.method == "navigation" and sigma <= max(level, default=0.0)
 
 
 def _innovations(found: Innovations) -> dict[str, Any]:
