@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..records import Array, Bools, Ints, Warn
+from ..settings.models import EARTH_GRAVITY_M_S2
 
 BAND = 0.02  # of the largest value: plateaus of calibrated axes are not quite level
 KINK = 10.0  # a plateau's edges are so many times steeper than its own samples; those of a smooth peak 2 to 3 times
@@ -22,6 +23,7 @@ BRIDGED_S = 1.0  # what happened in a longer run is not to be told from its side
 ANCHORS, MOST = 3, 2.5  # samples on either side that the spline passes; of the level, how far it may reach
 APART = 3.0  # periods: nothing is drawn across a hole
 SHARE = 0.5  # of what a spline adds to the level: its error, all run long
+REST, OFTEN = 1.1, 0.05  # times gravity: an end of the range in which rest itself is clipped; share of the samples
 GYRO_DENSITY, ACCEL_DENSITY = (0.1, 0.3), (0.3, 30.0)  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): least and most of a sample
 
 
@@ -133,8 +135,13 @@ def repaired(t: Array, values: Array, ends: list[Clipped], bounds: tuple[float, 
 def told(name: str, sensor: str, ends: list[Clipped], unit: str) -> Warn:
     """Say which axes are clipped at which level, how often, and what was done."""
     parts = [f"{'xyz'[e.axis]} at {e.level:.4g} {unit} ({np.count_nonzero(e.rows)} samples)" for e in ends]
-    fatal = sensor == "gyro" and any(e.longest_s > BRIDGED_S for e in ends)
-    if fatal:
+    rest = sensor != "gyro" and any(
+        abs(e.level) < REST * EARTH_GRAVITY_M_S2 and np.count_nonzero(e.rows) > OFTEN * e.rows.size for e in ends
+    )
+    fatal = rest or (sensor == "gyro" and any(e.longest_s > BRIDGED_S for e in ends))
+    if rest:
+        hint = "its range ends at gravity: which way is up is not known there; take a wider range of the sensor"
+    elif fatal:
         hint = f"for over {BRIDGED_S:g} s at a time: how far it turned is not known; take a wider range of the sensor"
     elif sensor == "gyro":
         hint = "a spline stands in for these samples, with a larger sigma; a wider range of the sensor would not clip"

@@ -172,6 +172,13 @@ def test_a_clipped_accelerometer_is_told_and_counts_less_there() -> None:
     assert np.array_equal(log.imu.accel_added > 0, np.any(np.abs(log.imu.accel_b) >= 25.0, axis=1))
 
 
+@pytest.mark.parametrize(("level", "share", "fatal"), [(10.3, 0.2, True), (10.3, 0.01, False), (11.5, 0.2, False)])
+def test_an_accelerometer_whose_range_ends_at_gravity_knows_no_up(level: float, share: float, fatal: bool) -> None:
+    rows = np.arange(1000) < 1000 * share
+    warn = clipping.told("log", "accelerometer", [clipping.Clipped(2, level, rows, 0.1)], "m/s^2")
+    assert (warn.code, warn.fatal) == ("accelerometer-clipped", fatal)
+
+
 @pytest.mark.parametrize(
     "make",
     [
