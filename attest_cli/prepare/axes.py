@@ -79,8 +79,11 @@ def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
     return tuple(w for w in told if w is mine[-1] or (w.code not in explained and w not in mine))
 
 
-def of_field(field: Fixes, imu: Imu) -> list[Warn]:
-    """Say where a magnetometer has not the axes of the gyro: the field must turn as gravity does in :func:`doubts`."""
+def of_field(field: Fixes, imu: Imu, *, others: bool = False) -> list[Warn]:
+    """Say where a magnetometer has not the axes of the gyro: the field must turn as gravity does in :func:`doubts`.
+
+    ``others``: the log has other IMUs, to which it may belong.
+    """
     rows = slice(*np.searchsorted(imu.t, [field.t[0], min(field.t[-1], field.t[0] + LONGEST_S)]).tolist())
     t = imu.t[rows]
     if len(field.t) < 2 or not len(t):
@@ -92,6 +95,8 @@ def of_field(field: Fixes, imu: Imu) -> list[Warn]:
     names = axes_in_words(compared[1].axes.T)
     message = f"{field.channel}: magnetometer and gyro do not turn together: they would, were its x, y, z its {names}"
     hint = "or all three the other way round: put them right in the driver, or with --columns"
+    if others:
+        hint = "is it fixed to the other IMU? --map takes that: imu=..., or gyro=... and accel=..."
     return [Warn(FIELD, message, hint, fatal=True)]
 
 

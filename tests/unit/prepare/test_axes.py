@@ -81,3 +81,11 @@ def test_a_sun_or_an_orientation_that_contradicts_gravity_explains_noise_of_the_
     assert foremost((sun, loud)) == (sun, loud)
     assert foremost((order, loud)) == (order,)
     assert foremost((loud,)) == (loud,)
+
+
+def test_beside_another_imu_it_is_asked_whether_the_magnetometer_is_fixed_to_that(rng: np.random.Generator) -> None:
+    t, gyro, down = drive(rng)
+    field = Fixes("magnetometer", "mag", t[::5], 0.005 * down[::5, [1, 0, 2]] * [-1.0, 1.0, 1.0])
+    alone, beside = (of_field(field, Imu(t, gyro, down), others=others)[0].hint for others in (False, True))
+    assert "--columns" in alone
+    assert "other IMU" in beside
