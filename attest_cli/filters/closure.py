@@ -21,6 +21,7 @@ LONGEST_S, MOST = 1200.0, 20  # motions that are tried: length, number
 FEWEST = 2  # one motion closes with other axes by chance
 OPEN_RAD = np.radians(0.25), np.radians(1.5)  # what opens less may be the accelerometer; where noise explains it
 CLOSES, ALONE, EQUAL = 0.25, 0.4, 1.05  # misfit over that of the gyro as it is; over that of the next best axes; a tie
+MOST_TIED = 4  # axes that close alike: of more none is told from the rest, as where each motion ends as it began
 GROSS, LOST_SCALE = 0.02, 0.2  # scale error from which a track is of no use
 SCALES = np.linspace(0.5, 2.0, 151)
 OTHER_UNIT, LARGEST_BIAS = (3.0, 30.0), 2.0  # of an accelerometer axis, its factor; m/s^2: more is another fault
@@ -120,7 +121,8 @@ def _axes(found: Sequence[Motion], same: float) -> list[Warn]:
     openings = np.array([_opening(found, [m.back(axes) for m in found]) for axes in signed_permutations()])
     best = openings.min()
     tied = openings <= EQUAL * best
-    if best >= CLOSES * same or best >= ALONE * openings[~tied].min(initial=np.inf):
+    alone = best < ALONE * openings[~tied].min(initial=np.inf) and np.count_nonzero(tied) <= MOST_TIED
+    if best >= CLOSES * same or not alone:
         return []
     axes = min((signed_permutations()[k] for k in np.flatnonzero(tied)), key=changed)
     message = f"gyro and accelerometer contradict each other by {np.degrees(same):.2g} deg from stop to stop"

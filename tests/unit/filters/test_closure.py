@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from support.drives import Job, simulated
 
 from attest_cli.filters import Drive
-from attest_cli.filters.closure import EXPLAINED, Motion, _closes, doubts
+from attest_cli.filters.closure import EXPLAINED, MOST_TIED, Motion, _axes, _closes, doubts
 from attest_cli.maths.axes import signed_permutations
 from attest_cli.nodes.noise import Noise
 from attest_cli.records import Log, Warn
@@ -135,3 +135,19 @@ def test_what_is_explained_to_the_last_is_no_chance_however_large_the_noise_may_
     assert np.mean(shares < r) == pytest.approx(r**2, rel=0.3)
     edge = EXPLAINED**0.5
     assert [_closes(off * (f * edge) ** 0.5, off, 2) for f in (0.9, 1.1)] == [True, False]
+
+
+@pytest.mark.parametrize("tied", [1, MOST_TIED, MOST_TIED + 1])
+def test_axes_that_close_like_many_others_are_not_told(tied: int) -> None:
+    class Ends:
+        """A motion that other axes miss by 30 mrad if they are among the first, else by 0.2 rad."""
+
+        def back(self, axes: Array) -> Array:
+            return axes
+
+        def misfit(self, axes: Array) -> float:
+            k = next(k for k, other in enumerate(signed_permutations()) if np.array_equal(other, axes))
+            return float(0.03**2 if 1 <= k <= tied else 0.2**2)
+
+    told = _axes([Ends(), Ends()], 0.2)  # type: ignore[list-item]
+    assert len(told) == (tied <= MOST_TIED)
