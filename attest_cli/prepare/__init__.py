@@ -55,7 +55,7 @@ def prepare(recordings: Sequence[Recording], settings: Settings, *, spent: bool 
     fixes = _fixes(cast, span, settings, warnings)
     fixes = _changing(fixes, rows, warnings)
     warnings += course.doubts(fixes, rows.imu)
-    if "magnetometer" in fixes and all(warn.code != "gyro-against-accel" for warn in warnings):
+    if "magnetometer" in fixes and all(warn.code not in {"gyro-against-accel", "gyro-scale"} for warn in warnings):
         gyros = {c.name for r in recordings for c in r.channels if c.role in {"imu", "gyro"}}
         warnings += axes.of_field(fixes["magnetometer"], rows.imu, others=len(gyros) > 1)
     warnings += quaternions.doubts(fixes["orientation"], rows.imu) if "orientation" in fixes else []

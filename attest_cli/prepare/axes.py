@@ -55,12 +55,17 @@ def doubts(name: str, t: Array, gyro: Array, accel: Array) -> list[Warn]:
     if best is not same:
         message = f"{name}: gyro and accelerometer do not turn together: {in_words(best.axes)}"
         return [Warn(ACCEL, message, HINT, fatal=True)]
+    return _far_scaled(f"{name}: gravity", same, total)
+
+
+def _far_scaled(what: str, same: Fit, total: float) -> list[Warn]:
+    """Say where a vector turns as the gyro does, but far more or less."""
     explained = 1.0 - float(same.misfit.sum()) / total
-    if explained > SCALED and not FAR_SCALES[0] < same.scale < FAR_SCALES[1]:
-        message = f"{name}: gravity turns {same.scale:.2g} times as far as the gyro says"
-        hint = "check the unit of the gyro, and the unit and rate of the clock"
-        return [Warn("gyro-scale", message, hint, fatal=True)]
-    return []
+    if explained < SCALED or FAR_SCALES[0] < same.scale < FAR_SCALES[1]:
+        return []
+    message = f"{what} turns {same.scale:.2g} times as far as the gyro says"
+    hint = "check the unit of the gyro, and the unit and rate of the clock"
+    return [Warn("gyro-scale", message, hint, fatal=True)]
 
 
 def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
@@ -80,7 +85,8 @@ def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
 
 
 def of_field(field: Fixes, imu: Imu, *, others: bool = False) -> list[Warn]:
-    """Say where a magnetometer has not the axes of the gyro: the field must turn as gravity does in :func:`doubts`.
+    """Say where a magnetometer has not the axes of the gyro, or turns far more: the field must turn as gravity does in
+    :func:`doubts`.
 
     ``others``: the log has other IMUs, to which it may belong.
     """
@@ -90,8 +96,10 @@ def of_field(field: Fixes, imu: Imu, *, others: bool = False) -> list[Warn]:
         return []
     vector = np.stack([np.interp(t, field.t, column) for column in field.values.T], axis=1)
     compared = _compared(t, imu.gyro_b[rows], vector)
-    if compared is None or compared[1] is compared[0]:
+    if compared is None:
         return []
+    if compared[1] is compared[0]:
+        return _far_scaled(f"{field.channel}: the magnetic field", compared[0], compared[2])
     names = axes_in_words(compared[1].axes.T)
     message = f"{field.channel}: magnetometer and gyro do not turn together: they would, were its x, y, z its {names}"
     hint = "or all three the other way round: put them right in the driver, or with --columns"

@@ -89,3 +89,12 @@ def test_beside_another_imu_it_is_asked_whether_the_magnetometer_is_fixed_to_tha
     alone, beside = (of_field(field, Imu(t, gyro, down), others=others)[0].hint for others in (False, True))
     assert "--columns" in alone
     assert "other IMU" in beside
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.0, []), (3.0, []), (57.3, ["gyro-scale"]), (0.1, ["gyro-scale"])])
+def test_a_field_that_turns_far_more_than_the_gyro_says_tells_its_unit(
+    times: float, told: list[str], rng: np.random.Generator
+) -> None:
+    t, gyro, down = drive(rng)
+    field = Fixes("magnetometer", "mag", t[::5], 0.005 * down[::5])
+    assert [w.code for w in of_field(field, Imu(t, gyro / times, down))] == told
