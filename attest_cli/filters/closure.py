@@ -23,7 +23,7 @@ OPEN_RAD = np.radians(0.25), np.radians(1.5)  # what opens less may be the accel
 CLOSES, ALONE, EQUAL = 0.25, 0.4, 1.05  # misfit over that of the gyro as it is; over that of the next best axes; a tie
 MOST_TIED = 4  # axes that close alike: of more none is told from the rest, as where each motion ends as it began
 GROSS, LOST_SCALE = 0.02, 0.2  # scale error from which a track is of no use
-SCALES = np.linspace(0.5, 2.0, 151)
+SCALES = np.linspace(0.4, 2.5, 211)  # a clock of half or twice the rate is within
 OTHER_UNIT, LARGEST_BIAS = (3.0, 30.0), 2.0  # of an accelerometer axis, its factor; m/s^2: more is another fault
 LESS = 0.5  # of what an accelerometer's fault leaves: a gyro bias in motion that leaves less is the better reason
 GROSS_BIAS = 0.2  # m/s^2; a gyro turned 1.2 deg against the accelerometer would look the same, and is as rare
@@ -137,6 +137,8 @@ def _scale(found: Sequence[Motion], same: float, lost: bool) -> list[Warn]:
         return []
     message = f"the gyro closes from stop to stop with {SCALES[k]:.2f} times its rate, not as it is"
     hint = "calibrate its scale: where it turns much, sigma does not hold"
+    if abs(SCALES[k] - 1.0) > LOST_SCALE:
+        hint = "check the rate of the clock (--sample-rate), and the unit and range of the gyro"
     return [Warn("gyro-scale", message, hint, fatal=abs(SCALES[k] - 1.0) > GROSS)]
 
 

@@ -71,12 +71,12 @@ def _far_scaled(what: str, same: Fit, total: float) -> list[Warn]:
 def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
     """Return what is told without what another fault of axes explains: of two readings of gyro against accelerometer
     the last, which a whole motion shows; the field's, where that blames the gyro; and noise of the gyro that comes of
-    it, or of a sun or an orientation that contradicts gravity.
+    it, of its scale, or of a sun or an orientation that contradicts gravity.
     """
-    codes = {warn.code for warn in told}
-    if codes & {"sun-reference", "orientation-order"}:
-        sure = "orientation-order" not in codes  # which is fatal itself
-        told = [warn for warn in told if warn.code != "gyro-noise-raised" or (warn.fatal and sure)]
+    causes = [warn for warn in told if warn.code in {"sun-reference", "orientation-order", "gyro-scale"}]
+    if causes:
+        sure = any(warn.fatal for warn in causes)
+        told = [warn for warn in told if warn.code != "gyro-noise-raised" or (warn.fatal and not sure)]
     mine = [warn for warn in told if warn.code == ACCEL and warn.fatal]
     if not mine:
         return tuple(told)

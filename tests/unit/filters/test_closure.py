@@ -49,6 +49,15 @@ def test_a_scale_is_told_with_its_value(job: Job) -> None:
     assert "with 0.91 times its rate" in message
 
 
+@pytest.mark.parametrize(("factor", "said"), [(2.0, "with 0.50 times"), (0.5, "with 2.00 times")])
+def test_a_clock_of_another_rate_is_told_as_such(job: Job, factor: float, said: str) -> None:
+    log = replace(job.log, imu=replace(job.log.imu, gyro_b=factor * job.log.imu.gyro_b))
+    (told,) = doubts(drive(job, log), raised=True)
+    assert (told.code, told.fatal) == ("gyro-scale", True)
+    assert said in told.message
+    assert "--sample-rate" in told.hint
+
+
 def test_without_a_doubt_a_small_opening_is_left_alone(job: Job) -> None:
     assert told(job, 1.02 * np.eye(3), raised=False) == []
 
