@@ -19,6 +19,7 @@ LEAST_M, GPS_SIGMA_M = 3.0, 3.0  # a stretch of way that shows a course; sigma o
 SHORT, LONG = 6.0, 20.0  # the same in sigmas of the fixes: some drives turn often, some little
 FEW, MOST = 12, 2000  # turns of heading
 FACTORS = np.concatenate([sign * np.geomspace(0.01, 100.0, 161) for sign in (1.0, -1.0)])
+CIRCLE_RAD, TURNS_RAD = np.radians(2.0 * np.pi), np.radians(60.0)  # a circle in rad, read as deg; a log that turns
 SAME, CLEARLY = (0.6, 1.6), 0.3  # factors that are no other; loss over that without a factor, and without a gyro
 
 
@@ -46,7 +47,17 @@ def doubts(fixes: Mapping[str, Fixes], imu: Imu) -> list[Warn]:
         message = f"the heading of {fixes[role].channel} ({role}) turns {factor:.2g} times as far as the gyro says"
         hint = "check the gyro's unit, the sign of its vertical axis, and the unit and rate of the clock"
         return [Warn("gyro-against-heading", message, hint, fatal=True)]
-    return []
+    return _in_radians(fixes["compass"], imu) if "compass" in fixes else []
+
+
+def _in_radians(compass: Fixes, imu: Imu) -> list[Warn]:
+    """Say where a compass in degrees stays within those of a circle in radians while the gyro turns by far more."""
+    within = np.all(np.abs(compass.values) < CIRCLE_RAD) and np.ptp(compass.values, axis=0).max(initial=0.0) > 0.0
+    if not within or np.ptp(_turned(imu, compass.t)) < TURNS_RAD:
+        return []
+    most = float(np.degrees(np.abs(compass.values).max()))
+    fact = f"all headings of {compass.channel} (compass) are within {most:.2f} deg"
+    return [Warn("unit-doubted", f"{fact} while the gyro turns: are they in rad?", "state their unit", fatal=True)]
 
 
 def _turned(imu: Imu, at: Array) -> Array:

@@ -49,3 +49,14 @@ def test_few_fixes_tell_nothing(rng: np.random.Generator) -> None:
     imu, fixes = drive(rng)
     few = {role: Fixes(role, f.channel, f.t[:40], f.values[:40]) for role, f in fixes.items()}
     assert doubts(few, replace(imu, gyro_b=-imu.gyro_b)) == []
+
+
+def test_a_compass_in_radians_that_states_degrees_is_doubted_if_the_gyro_turns(rng: np.random.Generator) -> None:
+    imu, fixes = drive(rng)
+    few = slice(None, None, 60)  # too few to be compared
+    sound = Fixes("compass", "/compass", fixes["compass"].t[few], np.mod(fixes["compass"].values[few], 2.0 * np.pi))
+    assert doubts({"compass": sound}, imu) == []
+    told = doubts({"compass": replace(sound, values=np.radians(sound.values))}, imu)
+    assert [w.code for w in told] == ["unit-doubted"]
+    still = replace(imu, gyro_b=0.0 * imu.gyro_b)
+    assert doubts({"compass": replace(sound, values=np.radians(sound.values))}, still) == []
