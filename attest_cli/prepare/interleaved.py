@@ -1,18 +1,20 @@
-"""Two IMUs in one channel: rows that alternate by what the IMU does are of two devices with axes of their own."""
+"""Two IMUs in one channel: rows that alternate by what the IMU does are of two devices with axes of their own; so are
+rows of which every third is another's.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..errors import AttestError
-from ..records import Array
+from ..records import Array, Ints
 
 BLOCK, LEAST_BLOCKS = 10, 40  # rows; blocks that tell
 WINDOW = 20  # blocks in which no row is lost, that would change the order
 ASKED = 250  # windows, all along the log
 EXPLAINED, PASSES = 0.5, 4  # share of the alternation; of its sign in windows
 TURNED = 0.02  # as much of the signal alternates: axes turned by 2 deg
-OPPOSITE, ALWAYS = 0.25, 0.95  # of gravity; share of the blocks
+OPPOSITE, ALWAYS, STEADY = 0.25, 0.95, 0.8  # of gravity; share of the blocks; mean of a window over its size
 
 
 def refuse(name: str, table: Array) -> None:
@@ -22,7 +24,8 @@ def refuse(name: str, table: Array) -> None:
     second row is apart, and :math:`m` the median of the block. Two devices turned by :math:`R` against each other give
     :math:`A=(I-R)(I+R)^{-1}m+c`, in both sensors; upside down to each other, a force that alternates by a share of
     gravity all along. Vibration near half the sampling rate alternates too, but not in proportion. Devices that differ
-    in their biases only are not told apart: their mean is right.
+    in their biases only are not told apart: their mean is right. Where one has two rows for each of the other's, every
+    third row is apart.
 
     Raises
     ------
@@ -36,15 +39,33 @@ def refuse(name: str, table: Array) -> None:
     rows = (asked[:, None] * BLOCK * WINDOW + np.arange(1, BLOCK * WINDOW + 1)).reshape(-1, BLOCK)  # (blocks, BLOCK)
     sign = np.where(np.arange(BLOCK) % 2 == 0, 0.5, -0.5)[:, None]
     x = table[rows]
-    apart = np.median(sign * (x - 0.5 * (table[rows - 1] + table[rows + 1])), axis=1)
+    off = x - 0.5 * (table[rows - 1] + table[rows + 1])
     middle = np.median(x, axis=1)
-    force = np.linalg.norm(apart[:, 3:], axis=1)
-    gravity = float(np.median(np.hypot(force, np.linalg.norm(middle[:, 3:], axis=1))))
-    if _in_proportion(middle, apart) or (gravity > 0.0 and np.mean(force > OPPOSITE * gravity) > ALWAYS):
-        size = 2.0 * np.median(np.abs(apart), axis=0)
-        each = f"by {np.max(size[:3]):.2g} (gyro) and {np.max(size[3:]):.2g} (accelerometer)"
-        message = f"{name}: rows of two IMUs in turn: every second row is apart {each}, as turned axes are"
-        raise AttestError(message, "record each device under a name of its own")
+    for every, apart in (("second", np.median(sign * off, axis=1)), ("third", _third(rows, off))):
+        if _opposite(middle[:, 3:], apart[:, 3:]) or _in_proportion(middle, apart):
+            size = 2.0 * np.median(np.abs(apart), axis=0)
+            each = f"by {np.max(size[:3]):.2g} (gyro) and {np.max(size[3:]):.2g} (accelerometer)"
+            message = f"{name}: rows of two IMUs in turn: every {every} row is apart {each}, as turned axes are"
+            raise AttestError(message, "record each device under a name of its own")
+
+
+def _third(rows: Ints, off: Array) -> Array:
+    """Return half of what every third row is apart (blocks, 6): of the three, in each window, those that are most."""
+    own = [np.where((rows % 3 == k)[:, :, None], 0.5 * off, np.nan) for k in range(3)]
+    apart = np.stack([np.nanmedian(values, axis=1) for values in own])  # (3, blocks, 6)
+    windows = apart.reshape(3, -1, WINDOW, apart.shape[2])
+    most = np.argmax(np.sum(windows**2, axis=(2, 3)), axis=0)
+    return np.asarray(windows[most, np.arange(windows.shape[1])].reshape(-1, apart.shape[2]))
+
+
+def _opposite(middle: Array, apart: Array) -> bool:
+    """Tell whether the alternation (b, 3) of force is a share of gravity all along, and steady, as noise is not."""
+    force = np.linalg.norm(apart, axis=1)
+    gravity = float(np.median(np.hypot(force, np.linalg.norm(middle, axis=1))))
+    steady = np.linalg.norm(apart.reshape(-1, WINDOW, 3).mean(axis=1), axis=1) / np.maximum(
+        force.reshape(-1, WINDOW).mean(axis=1), 1e-300
+    )
+    return gravity > 0.0 and bool(np.mean(force > OPPOSITE * gravity) > ALWAYS) and bool(np.median(steady) > STEADY)
 
 
 def _in_proportion(middle: Array, apart: Array) -> bool:

@@ -43,7 +43,18 @@ def test_rows_of_two_imus_in_turn_are_refused(axis: int, degrees: float) -> None
         interleaved.refuse("log.csv: imu", in_turn(driven(), other, second)[keep])
 
 
-@pytest.mark.parametrize("hz", [49.9, 49.3, 47.0, 25.0, 33.3])
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 90.0), (2, 90.0), (1, 180.0), (2, 60.0)])
+def test_rows_of_which_every_third_is_of_another_imu_are_refused(axis: int, degrees: float) -> None:
+    third = np.arange(len(T)) % 3 == 1
+    other = turned(driven(2), axis, degrees) + 0.01
+    with pytest.raises(AttestError, match="every third row"):
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, third))
+    keep = np.random.default_rng(3).random(len(T)) > 0.0003
+    with pytest.raises(AttestError, match="two IMUs"):
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, third)[keep])
+
+
+@pytest.mark.parametrize("hz", [49.9, 49.3, 47.0, 25.0, 33.3, 33.33, 16.6])
 @pytest.mark.parametrize("where", ["always", "in motion"])
 def test_vibration_near_half_the_rate_is_of_one_imu(hz: float, where: str) -> None:
     table = driven()
@@ -60,6 +71,7 @@ def test_spikes_lone_or_many_and_coarse_values_are_of_one_imu(size: float) -> No
         interleaved.refuse("log.csv: imu", table)
     interleaved.refuse("log.csv: imu", np.rint(driven() / 0.05) * 0.05)
     interleaved.refuse("log.csv: imu", np.zeros((len(T), 6)))
+    interleaved.refuse("log.csv: imu", np.random.default_rng(4).normal(size=(len(T), 6)))
     interleaved.refuse("log.csv: imu", driven()[:100])
 
 
