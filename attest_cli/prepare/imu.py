@@ -107,7 +107,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
 
 def _sampled(name: str, stamps_ns: Ints, t0_ns: int, table: Array, warnings: list[Warn]) -> tuple[Ints, Array]:
     """Return the stamps and rows of the raw ``table`` (n, 6) that are samples of one sensor; say what is left out."""
-    interleaved.refuse(name, table)
+    interleaved.refuse(name, table, float(np.median(np.diff(stamps_ns))) * 1e-9)
     blank = held.blank(seconds(stamps_ns, t0_ns), table)
     if blank.any():
         message = f"{name}: {np.count_nonzero(blank)} of {blank.size} rows dropped: all values are zero"

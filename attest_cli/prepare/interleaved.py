@@ -13,19 +13,20 @@ BLOCK, LEAST_BLOCKS = 10, 40  # rows; blocks that tell
 WINDOW = 20  # blocks in which no row is lost, that would change the order
 ASKED = 250  # windows, all along the log
 EXPLAINED, PASSES = 0.5, 4  # share of the alternation; of its sign in windows
+TOGETHER, ALIKE, ABOUT = 5, 0.2, (0.7, 1.4)  # blocks; share of the turning of gravity; scale of the gyro
 TURNED = 0.02  # as much of the signal alternates: axes turned by 2 deg
 OPPOSITE, ALWAYS, STEADY = 0.25, 0.95, 0.8  # of gravity; share of the blocks; mean of a window over its size
 
 
-def refuse(name: str, table: Array) -> None:
-    r"""Refuse raw gyro and accelerometer (n, 6) of two IMUs in turn.
+def refuse(name: str, table: Array, period_s: float) -> None:
+    r"""Refuse raw gyro and accelerometer (n, 6) of two IMUs in turn, a row every ``period_s``.
 
     In each block of rows, :math:`A=\tfrac12\,\mathrm{med}\,(-1)^i(x_i-\tfrac12(x_{i-1}+x_{i+1}))` is half of what every
     second row is apart, and :math:`m` the median of the block. Two devices turned by :math:`R` against each other give
     :math:`A=(I-R)(I+R)^{-1}m+c`, in both sensors; upside down to each other, a force that alternates by a share of
     gravity all along. Vibration near half the sampling rate alternates too, but not in proportion. Devices that differ
     in their biases only are not told apart: their mean is right. Where one has two rows for each of the other's, every
-    third row is apart.
+    third row is apart. Half a turn has no such map: there the alternation of gravity turns by that of the gyro.
 
     Raises
     ------
@@ -42,7 +43,8 @@ def refuse(name: str, table: Array) -> None:
     off = x - 0.5 * (table[rows - 1] + table[rows + 1])
     middle = np.median(x, axis=1)
     for every, apart in (("second", np.median(sign * off, axis=1)), ("third", _third(rows, off))):
-        if _opposite(middle[:, 3:], apart[:, 3:]) or _in_proportion(middle, apart):
+        found = _opposite(middle[:, 3:], apart[:, 3:]) or _in_proportion(middle, apart)
+        if found or _turn_alike(middle, apart, BLOCK * period_s):
             size = 2.0 * np.median(np.abs(apart), axis=0)
             each = f"by {np.max(size[:3]):.2g} (gyro) and {np.max(size[3:]):.2g} (accelerometer)"
             message = f"{name}: rows of two IMUs in turn: every {every} row is apart {each}, as turned axes are"
@@ -66,6 +68,29 @@ def _opposite(middle: Array, apart: Array) -> bool:
         force.reshape(-1, WINDOW).mean(axis=1), 1e-300
     )
     return gravity > 0.0 and bool(np.mean(force > OPPOSITE * gravity) > ALWAYS) and bool(np.median(steady) > STEADY)
+
+
+def _turn_alike(middle: Array, apart: Array, step_s: float) -> bool:
+    r"""Tell whether the alternation of force is gravity's, and turns by that of the gyro, in rad/s or deg/s.
+
+    Of two devices with up :math:`u` and rate :math:`\omega`, with their halves sum :math:`m` and difference :math:`h`:
+    :math:`\Delta h_u=-\Delta t(h_\omega\times m_u+m_\omega\times h_u)`.
+    """
+    gravity = float(np.median(np.linalg.norm(middle[:, 3:], axis=1)))
+    if not gravity > 0.0:
+        return False
+    m, h = (x.reshape(-1, WINDOW // TOGETHER, TOGETHER, 6).mean(axis=2) for x in (middle, apart))
+    rate_m, rate_h = (0.5 * (x[:, 1:, :3] + x[:, :-1, :3]) for x in (m, h))
+    up_m, up_h = (0.5 * (x[:, 1:, 3:] + x[:, :-1, 3:]) / gravity for x in (m, h))
+    seen = np.diff(h[:, :, 3:], axis=1).reshape(-1, 3) / gravity
+    expected = -(np.cross(rate_h, up_m) + np.cross(rate_m, up_h)).reshape(-1, 3)
+    both, square, total = (float(np.sum(x * y)) for x, y in ((seen, expected), (expected, expected), (seen, seen)))
+    if not (square > 0.0 and total > 0.0) or both <= 0.0:
+        return False
+    scale, explained = both / square / (TOGETHER * step_s), both**2 / (square * total)
+    likely = any(ABOUT[0] < scale * unit < ABOUT[1] for unit in (1.0, 180.0 / np.pi))
+    large = float(np.sqrt(np.mean(np.sum(up_h**2, axis=2)))) > TURNED
+    return likely and large and explained > ALIKE
 
 
 def _in_proportion(middle: Array, apart: Array) -> bool:

@@ -76,6 +76,19 @@ def dead(name: str, noise: float = 1e-3, share: float = 0.45) -> Change:
     return change
 
 
+def in_turn(every: int) -> Change:
+    """Each so many-th row is of another IMU: the second opposite about z, the third a quarter turned."""
+
+    def change(d: Drive) -> Drive:
+        other, new = np.arange(len(d.t)) % every == 0, {}
+        for x, y in (GYRO[:2], ACCEL[:2]):
+            turned = (-d.columns[x], -d.columns[y]) if every == 2 else (-d.columns[y], d.columns[x])
+            new |= {name: np.where(other, value, d.columns[name]) for name, value in zip((x, y), turned, strict=True)}
+        return d.changed(**new)
+
+    return change
+
+
 def stale(every: int, *names: str) -> Change:
     """Repeat each measurement so many times."""
 

@@ -37,10 +37,10 @@ def test_rows_of_two_imus_in_turn_are_refused(axis: int, degrees: float) -> None
     second = np.arange(len(T)) % 2 == 1
     other = turned(driven(2), axis, degrees) + 0.01
     with pytest.raises(AttestError, match="two IMUs"):
-        interleaved.refuse("log.csv: imu", in_turn(driven(), other, second))
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, second), 0.01)
     keep = np.random.default_rng(3).random(len(T)) > 0.0003  # rows are lost: the order changes
     with pytest.raises(AttestError, match="two IMUs"):
-        interleaved.refuse("log.csv: imu", in_turn(driven(), other, second)[keep])
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, second)[keep], 0.01)
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [(0, 90.0), (2, 90.0), (1, 180.0), (2, 60.0)])
@@ -48,10 +48,10 @@ def test_rows_of_which_every_third_is_of_another_imu_are_refused(axis: int, degr
     third = np.arange(len(T)) % 3 == 1
     other = turned(driven(2), axis, degrees) + 0.01
     with pytest.raises(AttestError, match="every third row"):
-        interleaved.refuse("log.csv: imu", in_turn(driven(), other, third))
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, third), 0.01)
     keep = np.random.default_rng(3).random(len(T)) > 0.0003
     with pytest.raises(AttestError, match="two IMUs"):
-        interleaved.refuse("log.csv: imu", in_turn(driven(), other, third)[keep])
+        interleaved.refuse("log.csv: imu", in_turn(driven(), other, third)[keep], 0.01)
 
 
 @pytest.mark.parametrize("hz", [49.9, 49.3, 47.0, 25.0, 33.3, 33.33, 16.6])
@@ -60,7 +60,7 @@ def test_vibration_near_half_the_rate_is_of_one_imu(hz: float, where: str) -> No
     table = driven()
     moving = np.ones(len(T)) if where == "always" else np.clip(3.0 * np.sin(2 * np.pi * T / 40.0), 0.0, 1.0)
     hum = moving * np.cos(2 * np.pi * hz * T + 0.3)
-    interleaved.refuse("log.csv: imu", table + hum[:, None] * np.array([0.05, 0.02, 0.1, 0.3, 0.5, 1.0]))
+    interleaved.refuse("log.csv: imu", table + hum[:, None] * np.array([0.05, 0.02, 0.1, 0.3, 0.5, 1.0]), 0.01)
 
 
 @pytest.mark.parametrize("size", [5.0, 1e3, 1e11])
@@ -68,13 +68,35 @@ def test_spikes_lone_or_many_and_coarse_values_are_of_one_imu(size: float) -> No
     for share in (1, 40, 400):
         table = driven()
         table[np.random.default_rng(share).choice(len(T), share, replace=False), 2] = size
-        interleaved.refuse("log.csv: imu", table)
-    interleaved.refuse("log.csv: imu", np.rint(driven() / 0.05) * 0.05)
-    interleaved.refuse("log.csv: imu", np.zeros((len(T), 6)))
-    interleaved.refuse("log.csv: imu", np.random.default_rng(4).normal(size=(len(T), 6)))
-    interleaved.refuse("log.csv: imu", driven()[:100])
+        interleaved.refuse("log.csv: imu", table, 0.01)
+    interleaved.refuse("log.csv: imu", np.rint(driven() / 0.05) * 0.05, 0.01)
+    interleaved.refuse("log.csv: imu", np.zeros((len(T), 6)), 0.01)
+    interleaved.refuse("log.csv: imu", np.random.default_rng(4).normal(size=(len(T), 6)), 0.01)
+    interleaved.refuse("log.csv: imu", driven()[:100], 0.01)
 
 
 def test_other_biases_alone_are_not_refused() -> None:
     second = np.arange(len(T)) % 2 == 1
-    interleaved.refuse("log.csv: imu", in_turn(driven(), driven(2) + 0.02, second))
+    interleaved.refuse("log.csv: imu", in_turn(driven(), driven(2) + 0.02, second), 0.01)
+
+
+def leaning(seed: int = 1, noise: float = 0.003) -> Array:
+    """Return gyro and accelerometer (n, 6) of a vehicle that leans this way and that, and is pushed a little."""
+    lean = 0.1 * np.sin(T[:, None] * [0.7, 0.45, 0.1] + [0.0, 1.0, 0.0])
+    q = rotation.exp_quaternion(lean)
+    rate = rotation.log_quaternion(rotation.multiply(rotation.conjugate(q[:-1]), q[1:])) / 0.01
+    force = rotation.rotate(rotation.conjugate(q), np.array([0.0, 0.0, 9.8]))
+    force += 0.3 * np.sin(T[:, None] * [1.0, 0.7, 9.0])
+    table = np.hstack([np.vstack([rate, rate[-1:]]), force])
+    return np.asarray(table + np.random.default_rng(seed).normal(0.0, noise, table.shape))
+
+
+@pytest.mark.parametrize("unit", [1.0, 180.0 / np.pi])
+def test_two_imus_opposite_about_the_vertical_are_refused_and_one_that_hums_is_not(unit: float) -> None:
+    second, scale = np.arange(len(T)) % 2 == 1, np.repeat([unit, 1.0], 3)
+    with pytest.raises(AttestError, match="every second row"):
+        interleaved.refuse("log.csv: imu", in_turn(leaning(), turned(leaning(2), 2, 180.0), second) * scale, 0.01)
+    interleaved.refuse("log.csv: imu", leaning() * scale, 0.01)
+    for phase in (0.0, 1.57):
+        hum = np.cos(2 * np.pi * 49.3 * T[:, None] + [0.3, 0.9, 1.0, *([0.3 + phase] * 3)])
+        interleaved.refuse("log.csv: imu", (leaning() + hum * [0.05, 0.02, 0.1, 0.3, 0.5, 1.0]) * scale, 0.01)
