@@ -71,8 +71,10 @@ def _far_scaled(what: str, same: Fit, total: float) -> list[Warn]:
 def foremost(told: Sequence[Warn]) -> tuple[Warn, ...]:
     """Return what is told without what another fault of axes explains: of two readings of gyro against accelerometer
     the last, which a whole motion shows; the field's, where that blames the gyro; and noise of the gyro that comes of
-    it, of its scale, or of a sun or an orientation that contradicts gravity.
+    it, of its scale, or of a sun or an orientation that contradicts gravity; and such a sun, where gravity is at fault.
     """
+    if {"accel-bias", "accel-scale", "mounting-contradicted"} & {warn.code for warn in told}:
+        told = [warn for warn in told if warn.code != "sun-reference"]
     causes = [warn for warn in told if warn.code in {"sun-reference", "orientation-order", "gyro-scale"}]
     if causes:
         sure = any(warn.fatal for warn in causes)

@@ -80,6 +80,8 @@ def test_a_sun_or_an_orientation_that_contradicts_gravity_explains_noise_of_the_
     assert foremost((sun, noise)) == (sun,)
     assert foremost((sun, loud)) == (sun, loud)
     assert foremost((order, loud)) == (order,)
+    bias = Warn("accel-bias", "closes with a bias")
+    assert foremost((sun, bias)) == (bias,)
     scale = Warn("gyro-scale", "closes with 0.5 times its rate", fatal=True)
     assert foremost((loud, scale)) == (scale,)
     assert foremost((loud,)) == (loud,)
