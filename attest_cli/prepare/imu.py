@@ -30,7 +30,9 @@ MANY = 0.1  # of the samples: no lost bytes, but another unit
 
 @dataclass(frozen=True, slots=True)
 class ImuRows:
-    """IMU samples in SI and body axes with what was lost on the way. ``holes_ns`` (g, 2)."""
+    """IMU samples in SI and body axes with what was lost on the way: of ``rows_in`` that are samples, no repeats of a
+    slower sensor. ``holes_ns`` (g, 2).
+    """
 
     t0_ns: int
     stamps_ns: Ints
@@ -79,7 +81,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         (first.stamps_ns, first.values) if len(ordered) == 1 else _merged(first, ordered[1], settings, warnings)
     )
     _enough(files, stamps_ns)
-    stamps_ns, table = _sampled(f"{files}: {parts[0].name}", stamps_ns, t0_ns, table, warnings)
+    stamps_ns, table, repeats = _sampled(f"{files}: {parts[0].name}", stamps_ns, t0_ns, table, warnings)
     _enough(files, stamps_ns)
     gyro, accel = _in_si(parts, stamps_ns, t0_ns, table, settings, warnings)
     warnings += stuck.told_coarse(f"{files}: {parts[0].name}", gyro)
@@ -102,11 +104,13 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         warnings.append(_told_gaps(files, seconds(holes_ns, t0_ns), float(np.median(np.diff(stamps_ns))) * 1e-9))
     imu = Imu(seconds(stamps_ns, t0_ns), gyro, accel)
     imu = _unclipped(f"{files}: {parts[0].name}", imu, settings.time.max_gap_s, warnings)
-    return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, rows_in, seconds_in, tuple(warnings))
+    return ImuRows(t0_ns, stamps_ns, _in_body(imu, settings), holes_ns, rows_in - repeats, seconds_in, tuple(warnings))
 
 
-def _sampled(name: str, stamps_ns: Ints, t0_ns: int, table: Array, warnings: list[Warn]) -> tuple[Ints, Array]:
-    """Return the stamps and rows of the raw ``table`` (n, 6) that are samples of one sensor; say what is left out."""
+def _sampled(name: str, stamps_ns: Ints, t0_ns: int, table: Array, warnings: list[Warn]) -> tuple[Ints, Array, int]:
+    """Return the stamps and rows of the raw ``table`` (n, 6) that are samples of one sensor, and how many rows only
+    repeat them; say what is left out.
+    """
     interleaved.refuse(name, table, float(np.median(np.diff(stamps_ns))) * 1e-9)
     blank = held.blank(seconds(stamps_ns, t0_ns), table)
     if blank.any():
@@ -116,8 +120,9 @@ def _sampled(name: str, stamps_ns: Ints, t0_ns: int, table: Array, warnings: lis
     new, table = held.released(name, seconds(stamps_ns, t0_ns), table, warnings)
     if not new.all():
         stamps_ns, table = stamps_ns[new], table[new]
+    repeats = int(np.count_nonzero(~new))
     frozen = _frozen(name, seconds(stamps_ns, t0_ns), table, warnings)
-    return (stamps_ns[~frozen], table[~frozen]) if frozen.any() else (stamps_ns, table)
+    return (stamps_ns[~frozen], table[~frozen], repeats) if frozen.any() else (stamps_ns, table, repeats)
 
 
 def _in_si(

@@ -93,6 +93,7 @@ def test_a_log_tells_it_once_and_a_stuck_sensor_stays_stuck() -> None:
     log = prepare([recording], Settings())
     assert [w.code for w in log.warnings][:2] == ["imu-held", "imu-stuck"]
     assert "stuck for 2.95 s" in log.warnings[1].message
+    assert log.coverage["rows_in"] == pytest.approx(len(T) / 5, abs=1)
     assert log.gaps[0] == pytest.approx([30.0, 33.0], abs=0.06)
     clean = dict(zip(COLUMNS["imu"], measured().T, strict=True))
     assert "imu-held" not in {
