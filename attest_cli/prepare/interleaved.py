@@ -1,18 +1,16 @@
-"""Two IMUs in one channel: rows that alternate by what the IMU does are of two devices with axes of their own; so are
-rows of which every third is another's.
-"""
+"""Two IMUs in one channel: rows that alternate by what the IMU does are of two devices with axes of their own."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..errors import AttestError
-from ..records import Array, Ints
+from ..records import Array
 
 BLOCK, LEAST_BLOCKS = 10, 40  # rows; blocks that tell
 WINDOW = 20  # blocks in which no row is lost, that would change the order
 ASKED = 250  # windows, all along the log
-EXPLAINED, PASSES = 0.5, 4  # share of the alternation; of its sign in windows
+EXPLAINED, PASSES = 0.6, 4  # share of the alternation; of its sign in windows
 TOGETHER, ALIKE, ABOUT = 5, 0.2, (0.7, 1.4)  # blocks; share of the turning of gravity; scale of the gyro
 TURNED = 0.02  # as much of the signal alternates: axes turned by 2 deg
 OPPOSITE, ALWAYS, STEADY = 0.25, 0.95, 0.8  # of gravity; share of the blocks; mean of a window over its size
@@ -22,42 +20,36 @@ def refuse(name: str, table: Array, period_s: float) -> None:
     r"""Refuse raw gyro and accelerometer (n, 6) of two IMUs in turn, a row every ``period_s``.
 
     In each block of rows, :math:`A=\tfrac12\,\mathrm{med}\,(-1)^i(x_i-\tfrac12(x_{i-1}+x_{i+1}))` is half of what every
-    second row is apart, and :math:`m` the median of the block. Two devices turned by :math:`R` against each other give
+    second row is apart, and :math:`m` the median of the block. A signal that bends within few samples is like that too,
+    but not by its fourth difference: both must tell. Two devices turned by :math:`R` against each other give
     :math:`A=(I-R)(I+R)^{-1}m+c`, in both sensors; upside down to each other, a force that alternates by a share of
     gravity all along. Vibration near half the sampling rate alternates too, but not in proportion. Devices that differ
-    in their biases only are not told apart: their mean is right. Where one has two rows for each of the other's, every
-    third row is apart. Half a turn has no such map: there the alternation of gravity turns by that of the gyro.
+    in their biases only are not told apart: their mean is right. Half a turn has no such map: there the alternation of
+    gravity turns by that of the gyro.
 
     Raises
     ------
     AttestError
         If the alternation is that of two devices.
     """
-    windows = (len(table) - 2) // (BLOCK * WINDOW)
+    windows = (len(table) - 4) // (BLOCK * WINDOW)
     if windows * WINDOW < LEAST_BLOCKS:
         return
     asked = np.unique(np.linspace(0, windows - 1, min(windows, ASKED)).astype(np.int64))
-    rows = (asked[:, None] * BLOCK * WINDOW + np.arange(1, BLOCK * WINDOW + 1)).reshape(-1, BLOCK)  # (blocks, BLOCK)
+    rows = (asked[:, None] * BLOCK * WINDOW + np.arange(2, BLOCK * WINDOW + 2)).reshape(-1, BLOCK)  # (blocks, BLOCK)
     sign = np.where(np.arange(BLOCK) % 2 == 0, 0.5, -0.5)[:, None]
     x = table[rows]
-    off = x - 0.5 * (table[rows - 1] + table[rows + 1])
+    beside, beyond = (table[rows - k] + table[rows + k] for k in (1, 2))
     middle = np.median(x, axis=1)
-    for every, apart in (("second", np.median(sign * off, axis=1)), ("third", _third(rows, off))):
+    for off in (x - 0.5 * beside, (6.0 * x - 4.0 * beside + beyond) / 8.0):
+        apart = np.median(sign * off, axis=1)
         found = _opposite(middle[:, 3:], apart[:, 3:]) or _in_proportion(middle, apart)
-        if found or _turn_alike(middle, apart, BLOCK * period_s):
-            size = 2.0 * np.median(np.abs(apart), axis=0)
-            each = f"by {np.max(size[:3]):.2g} (gyro) and {np.max(size[3:]):.2g} (accelerometer)"
-            message = f"{name}: rows of two IMUs in turn: every {every} row is apart {each}, as turned axes are"
-            raise AttestError(message, "record each device under a name of its own")
-
-
-def _third(rows: Ints, off: Array) -> Array:
-    """Return half of what every third row is apart (blocks, 6): of the three, in each window, those that are most."""
-    own = [np.where((rows % 3 == k)[:, :, None], 0.5 * off, np.nan) for k in range(3)]
-    apart = np.stack([np.nanmedian(values, axis=1) for values in own])  # (3, blocks, 6)
-    windows = apart.reshape(3, -1, WINDOW, apart.shape[2])
-    most = np.argmax(np.sum(windows**2, axis=(2, 3)), axis=0)
-    return np.asarray(windows[most, np.arange(windows.shape[1])].reshape(-1, apart.shape[2]))
+        if not found and not _turn_alike(middle, apart, BLOCK * period_s):
+            return
+    size = 2.0 * np.median(np.abs(apart), axis=0)
+    each = f"by {np.max(size[:3]):.2g} (gyro) and {np.max(size[3:]):.2g} (accelerometer)"
+    message = f"{name}: rows of two IMUs in turn: every second row is apart {each}, as turned axes are"
+    raise AttestError(message, "record each device under a name of its own")
 
 
 def _opposite(middle: Array, apart: Array) -> bool:

@@ -354,7 +354,6 @@ SHAPES: dict[str, Fault] = {
     "no motion": Fault("bare", (), steady, base=NO_HEADING, same_truth=False),
     "two IMUs": Fault("bare", ("several-channels",), two_imus),
     "rows of two IMUs in turn": Fault("bare", ("two IMUs in turn",), in_turn(2)),
-    "rows of two IMUs, two and one": Fault("bare", ("two IMUs in turn",), in_turn(3)),
     "bad covariances": Fault("sun", (), write=messages(covariances(1.797e308))),
     "negative covariances": Fault("sun", (), write=messages(covariances(-3.0))),
     "NaN covariances": Fault("sun", (), write=messages(covariances(float("nan")))),
