@@ -292,7 +292,7 @@ def _separation_check(apart: Sequence[float], s: Mapping[str, Any]) -> list[dict
 def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
     lines = []
     for role, s in _innovations(found).items():
-        name = {"gps": "GPS", "gps_velocity": "GPS velocity"}.get(role, role.replace("_", " "))
+        name = SENSOR_NAMES[role] if role.startswith("gps") else role.replace("_", " ")
         if s["rejected"] > (role == "zero_rate"):  # one may be the edge of a stop
             status = rejection_status(s["rejected"], s["count"])
             fact = f"{s['rejected']} of {s['count']} {name} measurements rejected"

@@ -85,7 +85,8 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         still[:] = False  # the noise was taken from the motion itself, of which these are the calmest moments
         margin = math.nan
     segments = as_segments(still, imu.t, edges, stops.window_s / 2)
-    told = doubts(still, limits, margin, found, quiet, louder(windows, imu.t, settings)) + jumps(agreed, quiet)
+    loud = "" if still.any() else louder(windows, imu.t, settings)
+    told = doubts(still, limits, margin, found, quiet, loud) + jumps(agreed, quiet)
     if not found.start.size:
         factor = max(FAST, FASTEST_RAD_S / settings.imu.gyro_bias_sigma)
         told += fast(quiet_intervals(windows, sigmas, limits.enter, turning, settings, factor))
