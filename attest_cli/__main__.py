@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import os
@@ -10,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from types import FrameType
+from typing import NoReturn
 
 from .errors import AttestError, UsageError
 
@@ -41,7 +43,7 @@ def main() -> None:
         _ignore_signals()  # the work is done: leave with its code
     except Stopped as stop:
         code = stop.exit_code
-    sys.exit(code)
+    _leave(code)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -96,6 +98,14 @@ def _finish(code: int) -> int:
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # so that Python's own flush at exit is quiet
     return code
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process here: to take down what the libraries have built, object by object, takes 0.15 s of every run."""
+    with contextlib.suppress(OSError, AttestError):
+        _finish(code)
+    atexit._run_exitfuncs()  # noqa: SLF001 (some libraries clear up temporary folders there)
+    os._exit(code)
 
 
 def _line(text: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -47,12 +47,15 @@ def odometry_position(
     step = np.diff(p, axis=0)
     middle, known = 0.5 * (t[1:] + t[:-1]), sigma_of(odometry, cfg)
     sigma = np.stack([np.interp(middle, odometry.t, column) for column in known.T], axis=1)
-    slip = 2.0 * CORRELATION_S * sigma[:, None, :] ** 2
-    R_nodes = rotation.matrix(rotation.multiply(smoothed.q, q_bv))[:-1]
     moving = np.linalg.norm(step, axis=1) > 1e-9
-    noise = (R_nodes * slip) @ R_nodes.swapaxes(1, 2) * (np.diff(t) * moving)[:, None, None]
-    if len(blind):
-        noise += _blind_variance(t, blind, _speed(imu.t, odometry, still))[:, None, None] * np.eye(3)
+    slip = 2.0 * CORRELATION_S * sigma**2 * (np.diff(t) * moving)[:, None]
+    unseen = _blind_variance(t, blind, _speed(imu.t, odometry, still) if len(blind) else 0.0)
+
+    def noise(rows: slice) -> Array:
+        R = rotation.matrix(rotation.multiply(smoothed.q[rows], q_bv))
+        slipped: Array = (R * slip[rows, None, :]) @ R.swapaxes(1, 2)
+        return slipped + unseen[rows, None, None] * np.eye(3)
+
     P = _covariance(smoothed, step, noise, cfg.scale_sigma)
     distance = dict(zip((m.index for m in motions), lengths.tolist(), strict=True))
     return Position(p, v, P, {}, distance, usable(P, distance), "odometry", course)
@@ -133,14 +136,14 @@ def _blind_variance(t: Array, spans: Array, speed: float) -> Array:
     return out
 
 
-def _covariance(smoothed: Smoothed, step: Array, noise: Array, scale_sigma: float) -> Array:
+def _covariance(smoothed: Smoothed, step: Array, noise: Callable[[slice], Array], scale_sigma: float) -> Array:
     r"""Return the covariance (n, 3, 3) of a position that adds :math:`a_k=h_k(\theta_k+\theta_{k+1})`, slip and scale.
 
     With :math:`X_k=\mathrm{Cov}(\delta_k,p_k)`: :math:`X_{k+1}=F_kX_k+(F_kP_k+P_{k+1})E^Th_k^T`, where ``E`` picks the
-    attitude; that is the only recursion, all else is a running sum.
+    attitude; that is the only recursion, all else is a running sum. ``noise`` gives (k, 3, 3) of intervals.
     """
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
-    out = scale_sigma**2 * np.einsum("ki,kj->kij", path, path)
+    out: Array = scale_sigma**2 * np.einsum("ki,kj->kij", path, path)
     now, total = np.zeros((6, 3)), np.zeros(9)
     for lo, hi in blocks(0, len(step)):
         chain, half_T = markov(smoothed, lo, hi), (-0.5 * rotation.skew(step[lo:hi])).swapaxes(1, 2)
@@ -152,8 +155,8 @@ def _covariance(smoothed: Smoothed, step: Array, noise: Array, scale_sigma: floa
             now = chain.F[k] @ now + source[k]
         with_step = (X + chain.F @ X)[:, :3].swapaxes(1, 2) @ half_T
         spread = (chain.P[:-1] + chain.P[1:] + FP + FP.swapaxes(1, 2))[:, :3, :3]
-        grown = with_step + with_step.swapaxes(1, 2) + half_T.swapaxes(1, 2) @ spread @ half_T + noise[lo:hi]
+        grown = with_step + with_step.swapaxes(1, 2) + half_T.swapaxes(1, 2) @ spread @ half_T + noise(slice(lo, hi))
         sums = running(total, grown.reshape(-1, 9))
-        out[lo + 1 : hi + 1] += sums[1:].reshape(-1, 3, 3)
+        out[lo + 1 : hi + 1] = symmetric(out[lo + 1 : hi + 1] + sums[1:].reshape(-1, 3, 3))
         total = sums[-1]
-    return symmetric(out)
+    return out

@@ -92,6 +92,7 @@ class Clock:
 
 def main() -> None:
     """Run the job and print its stages."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
     log, output = Path(sys.argv[1]), Path(sys.argv[2])
     clock = Clock()
     import_module("attest_cli.pipeline")
