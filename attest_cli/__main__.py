@@ -104,6 +104,8 @@ def _leave(code: int) -> NoReturn:
     """End the process here: to take down what the libraries have built, object by object, takes 0.15 s of every run."""
     with contextlib.suppress(OSError, AttestError):
         _finish(code)
+    if sys.getprofile() is not None or sys.gettrace() is not None:
+        sys.exit(code)  # a profiler tells what it saw after the ordinary end
     atexit._run_exitfuncs()  # noqa: SLF001 (some libraries clear up temporary folders there)
     os._exit(code)
 
