@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .maths import rotation
+from .maths.consistency import MAD
 from .records import Array, Bools, Fixes, Imu, Ints, Segmentation
 
 BLOCK_S = 1.0  # velocities are compared as means over this: wheel noise in the regressor would shorten the fit
@@ -26,7 +27,6 @@ LEAST_PERIODS = 1.5  # of the odometry: a lag of one sample is not told from how
 NEAR_DEG = 3.0  # axes that agree to this, or to three sigma, are taken as equal
 UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
 MOST_PARTS, REFITS, FAR_OFF = 16, 3, 5.0  # of a drive, to find slips; times the median misfit: a block of a slip
-MAD = 1.4826  # median absolute deviation to sigma
 WRONG_SCALE = 0.25  # wheel speed this far from what the accelerometer shows contradicts it
 
 

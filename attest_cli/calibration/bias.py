@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..maths.bias import curve, exponential, polynomial
+from ..maths.bias import exponential, polynomial
 from ..records import Array
 from .records import BiasModel
 from .rest import Blocks
@@ -54,15 +54,6 @@ class _Trial:
     def bic(self) -> float:
         """Bayesian information criterion; the noise counts for no model, the random walk where there is one."""
         return self.fit.value + (len(self.values) + (self.fit.ratio > 0.0)) * math.log(self.fit.n)
-
-
-def bias_between(model: BiasModel, at: Array, t: Array, temperature: tuple[Array, Array] | None = None) -> Array:
-    """Return the model's bias (n,) at any time ``t``: its curve plus what the random walk left at the blocks ``at``
-    (m,), in the mean a straight line from one to the next; ``temperature`` at the blocks and at ``t``.
-    """
-    at_blocks, at_t = temperature or (None, None)
-    left = model.fitted - curve(model.name, model.values, at, at_blocks)
-    return curve(model.name, model.values, t, at_t) + np.interp(t, at, left)
 
 
 def fit_models(blocks: Blocks, z: Array, temperature: Array | None = None) -> tuple[Mapping[str, Fitted], list[str]]:

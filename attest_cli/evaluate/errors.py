@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..maths import rotation
+from ..maths.consistency import MAD
 from ..records import Array, Bools, Ints
 from .association import period
 from .records import Stats
@@ -118,4 +119,4 @@ def scatter(error: Array, breaks: Bools) -> float:
         return float("nan")
     whole = ~(breaks[:-2] | breaks[1:-1])
     second = np.diff(error, n=2, axis=0)[whole]
-    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")
+    return float(MAD * np.median(np.abs(second)) / np.sqrt(6.0)) if second.size else float("nan")

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..maths import rotation
+from ..maths.consistency import MAD
 from ..records import Array, Bools
 from .alignment import nearest_rotation
 from .association import GAP_PERIODS, attitudes, look_up, period, vectors
@@ -123,7 +124,7 @@ def _linearised(of_est: Increments, d_ref: Array, start: Array, end: Array, tau:
     R = nearest_rotation(d_est.T @ d)
     residual = d @ R.T - d_est
     size = np.linalg.norm(residual, axis=1)
-    limit = OUTLIER * 1.4826 * float(np.median(size))
+    limit = OUTLIER * MAD * float(np.median(size))
     weight = np.where(size <= limit, 1.0, limit / np.where(size > 0.0, size, 1.0))
     curvature = float(np.sum(weight[:, None] * slope**2))
     score = weight * np.einsum("ni,ni->n", slope, residual)

@@ -179,15 +179,6 @@ def law(xi0: float, area: Array) -> Array:
     return np.asarray(2.0 * fallen / (1.0 - 0.5 * xi0 + fallen))
 
 
-def riccati(t: Array, p0: float, q1: float, q2: float) -> Array:
-    r"""Return the scalar covariance at ``t`` (n,) s, of :math:`\dot p=q_1-p^2/q_2` (1.34), in closed form.
-
-    .. math:: p=s\frac{p_0+s\tanh\lambda t}{s+p_0\tanh\lambda t},\quad s=\sqrt{q_1q_2},\ \lambda=\sqrt{q_1/q_2}
-    """
-    s, grown = math.sqrt(q1 * q2), np.tanh(math.sqrt(q1 / q2) * t)
-    return np.asarray(s * (p0 + s * grown) / (s + p0 * grown))
-
-
 def up(x: Array) -> tuple[Array, Array]:
     r"""Return the unit vector of the states ``x`` (n, 3 or 6), (1.21), and its Jacobian (n, 3, s):
     :math:`(I-uu^T)/\|z\|`.

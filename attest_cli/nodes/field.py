@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..maths.consistency import MAD
 from ..records import Array, Fixes, Log, Segmentation, Warn, World
 
 SIZE_OFF, DIP_OFF = 0.1, np.radians(5.0)  # share of the field, rad: what a calibrated sensor out of doors keeps to
@@ -12,7 +13,6 @@ VAGUE = np.radians(5.0)  # of heading: what makes it so unsure is told
 TURNED = np.radians(60.0)  # no iron that a magnetometer is used beside turns the dip so far
 TURNED_HINT = "is the reference of this place, latitude north or south, and are the sensor's signs right?"
 NORMALISED = 1e-3  # spread of a field whose size was taken out
-MAD = 1.4826
 FEW = 10
 SAME, OFTEN = 1e-5, 0.02  # spread of sizes that are one; share of rows that is no moment
 STEEPEST = 0.2  # least horizontal share of the field that a heading is told from

@@ -12,10 +12,11 @@ import numpy as np
 
 from ..maths.rotation import wrap
 from ..records import Array, Fixes, Imu, Warn
+from ..settings import GPS_SIGMA_M
 
 EARTH_M = 6.371e6
 WINDOW_S, SPAN_S, LONGEST_S = 0.5, 5.0, 60.0  # of means; between compass readings; between headings that are compared
-LEAST_M, GPS_SIGMA_M = 3.0, 3.0  # a stretch of way that shows a course; sigma of fixes where none is stated
+LEAST_M = 3.0  # a stretch of way that shows a course
 SHORT, LONG = 6.0, 20.0  # the same in sigmas of the fixes: some drives turn often, some little
 FEW, MOST = 12, 2000  # turns of heading
 FACTORS = np.concatenate([sign * np.geomspace(0.01, 100.0, 161) for sign in (1.0, -1.0)])

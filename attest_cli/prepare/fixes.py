@@ -9,7 +9,7 @@ import numpy as np
 
 from ..maths import rotation
 from ..records import COLUMNS, Array, Bools, Channel, Fixes, Ints, Warn
-from ..settings import Settings
+from ..settings import GPS_SIGMA_M, Settings
 from ..settings.units import unit
 from . import places, units
 from .clock import in_order, seconds
@@ -22,7 +22,6 @@ STALE_RUN = 3
 HELD_RUN, HELD_QUANTILE, HELD_TIMES, HELD_SHARE = 20, 0.95, 5.0, 0.3
 """Rows of one speed of wheels that are many, and against what is usual of the log; the most of them that may hang."""
 
-GPS_SIGMA_M = 3.0  # where nothing is stated
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
 DRIVING_M_S, SIDEWAYS, NOISY = 0.1, 3.0, 6.0
 SPIKE = 0.1  # of the field: what is less hardly turns a heading

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..maths.consistency import MAD
 from ..records import Array, Bools, Ints, Warn
 
 STEP_S, LEAST_SAMPLES, LASTS = 0.05, 4, 9  # of the level of shaking; in a step; steps that a change has to last
@@ -11,7 +12,7 @@ REST, LIVELY, BETWEEN = 0.03, 0.7, 0.4  # quantiles of the level; where it count
 LOUD = 2.0  # by so much more, in its logarithm, it shakes in motion
 REACH_S, LATE_S = 2.0, 0.15  # delays that are looked for; least that is told
 FEW, PAIRED = 2, 0.7  # beginnings, and ends; share of the edges that have a fellow
-SCATTER, MAD = 0.4, 1.4826  # of the delay
+SCATTER = 0.4  # of the delay
 
 
 def doubts(names: tuple[str, str], t: Array, gyro: Array, accel: Array) -> list[Warn]:

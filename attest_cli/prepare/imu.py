@@ -115,7 +115,7 @@ def _sampled(name: str, stamps_ns: Ints, t0_ns: int, table: Array, warnings: lis
     blank = held.blank(seconds(stamps_ns, t0_ns), table)
     if blank.any():
         message = f"{name}: {np.count_nonzero(blank)} of {blank.size} rows dropped: all values are zero"
-        warnings.append(Warn("imu-spikes", message, "does the driver write zeros where it has no sample?"))
+        warnings.append(Warn("imu-zero-rows", message, "does the driver write zeros where it has no sample?"))
         stamps_ns, table = stamps_ns[~blank], table[~blank]
     new, table = held.released(name, seconds(stamps_ns, t0_ns), table, warnings)
     if not new.all():

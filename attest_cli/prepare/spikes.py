@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ..maths.consistency import MAD
 from ..records import Array, Bools
 
 WIDTH, AROUND = 5, 9  # samples of the median, and of what else happens there
@@ -32,7 +33,7 @@ def spikes(values: Array, floor: float, width: int = WIDTH) -> Bools:
         around = sliding_window_view(np.pad(x, AROUND // 2, mode="reflect"), AROUND)
         inner = slice((AROUND - width) // 2, (AROUND + width) // 2)
         sample = slice(None, None, -(-x.size // SAMPLED))
-        usual = 1.4826 * np.median(np.abs(x[sample] - np.median(around[sample, inner], axis=1)))
+        usual = MAD * np.median(np.abs(x[sample] - np.median(around[sample, inner], axis=1)))
         limit = max(floor, FACTOR * float(usual))
 
         jump = np.abs(np.diff(x)) > limit  # three of five are that far off, so a direct neighbour is: look only there

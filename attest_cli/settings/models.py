@@ -40,6 +40,7 @@ from .table import Table
 
 EARTH_GRAVITY_M_S2 = 9.80665  # standard gravity, 3rd CGPM 1901
 MARS_GRAVITY_M_S2 = 3.72076  # mean surface gravity of Mars
+GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # of a fix where neither user nor log states one
 
 Role = Literal[
     "imu",
@@ -173,7 +174,7 @@ class Gps(Section):
     """Satellite positions and velocities."""
 
     channel: str | None = Field(None, description="topic or column group; none: by type and name")
-    sigma_m: Metres | None = Field(None, description="noise per axis; none: as the log states, else 3 m")
+    sigma_m: Metres | None = Field(None, description=f"noise per axis; none: the log's, else {GPS_SIGMA_M:g} m")
     velocity_sigma_m_s: Speed | None = Field(
         None, description="noise per axis of GPS velocity; none: as the log states, else 0.1 m/s"
     )
@@ -186,7 +187,7 @@ class Position(Section):
     """Positions in local axes, east, north, up: a tracker, a total station."""
 
     channel: str | None = Field(None, description="topic or column group; none: by type and name")
-    sigma_m: Metres | None = Field(None, description="noise per axis; none: as the log states, else 0.1 m")
+    sigma_m: Metres | None = Field(None, description=f"noise per axis; none: the log's, else {POSITION_SIGMA_M:g} m")
     lever_arm_m: LeverArm = Field(
         "auto", description="from the IMU to the point that is tracked, body axes; auto: as the drive shows, else 0"
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.walking import passes, rms_deg, tilt, walk
+from support.walking import passes, riccati, rms_deg, tilt, walk
 
-from attest_cli.filters.vertical import Method, Turns, law, observe, riccati, towards, up
+from attest_cli.filters.vertical import Method, Turns, law, observe, towards, up
 from attest_cli.maths import kalman, rotation
 from attest_cli.maths.sequential import Pass
 

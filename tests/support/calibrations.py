@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from attest_cli.calibration.calibrate import calibrate
-from attest_cli.calibration.records import Calibration
+from attest_cli.calibration.records import BiasModel, Calibration
+from attest_cli.maths.bias import curve
 from attest_cli.records import Array, Imu, Log, Segmentation
 from attest_cli.segment.detector import as_segments
 from attest_cli.settings import Settings
@@ -74,3 +75,12 @@ def log_at_rest(
     gyro = curve(t)[:, None] * [1.0, -1.5, 0.5] + [1e-3, -2e-3, 5e-4] + rng.normal(0.0, 1.5e-4 * np.sqrt(hz), (n, 3))
     force: Array = np.array([0.0, 0.0, 9.8]) + rng.normal(0.0, 2e-3 * np.sqrt(hz), (n, 3))
     return Log((Path("log.csv"),), 0, np.rint(t * 1e9).astype(np.int64), Imu(t, gyro, force), {}, np.empty((0, 2)), {})
+
+
+def bias_between(model: BiasModel, at: Array, t: Array, temperature: tuple[Array, Array] | None = None) -> Array:
+    """Return the model's bias (n,) at any time ``t``: its curve plus what the random walk left at the blocks ``at``
+    (m,), in the mean a straight line from one to the next; ``temperature`` at the blocks and at ``t``.
+    """
+    at_blocks, at_t = temperature or (None, None)
+    left = model.fitted - curve(model.name, model.values, at, at_blocks)
+    return curve(model.name, model.values, t, at_t) + np.interp(t, at, left)

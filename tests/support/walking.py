@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -81,3 +82,12 @@ def rms_deg(error: Array) -> float:
 def passes(forward: Forward, smoother: str = "rts") -> tuple[Smoothed, Smoothed]:
     """The forward pass and the smoothed one."""
     return SMOOTHERS["none"](forward.run), SMOOTHERS[smoother](forward.run)
+
+
+def riccati(t: Array, p0: float, q1: float, q2: float) -> Array:
+    r"""Return the scalar covariance at ``t`` (n,) s, of :math:`\dot p=q_1-p^2/q_2` (1.34), in closed form.
+
+    .. math:: p=s\frac{p_0+s\tanh\lambda t}{s+p_0\tanh\lambda t},\quad s=\sqrt{q_1q_2},\ \lambda=\sqrt{q_1/q_2}
+    """
+    s, grown = math.sqrt(q1 * q2), np.tanh(math.sqrt(q1 / q2) * t)
+    return np.asarray(s * (p0 + s * grown) / (s + p0 * grown))

@@ -122,6 +122,15 @@ class TestSpikes:
         assert np.abs(log.imu.gyro_b).max() < 1.0
         assert np.abs(log.imu.accel_b).max() < 11.0
 
+    def test_rows_of_zeros_are_dropped_under_a_name_of_their_own(self) -> None:
+        channel = imu()
+        for values in channel.values.values():
+            values[[100, 300, 301]] = 0.0
+        log = log_of(channel)
+        (warning,) = log.warnings
+        assert (warning.code, log.coverage["rows_dropped"]) == ("imu-zero-rows", 3)
+        assert "/imu/data: 3 of 1000 rows dropped: all values are zero" in warning.message
+
     def test_a_spike_of_a_slow_accelerometer_is_not_spread_over_the_gyro(self) -> None:
         whole = imu()
         slow = half(imu(250, start_ns=T0), "accel", T0 + np.arange(250) * 40_000_000)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...maths import rotation
+from ...maths.consistency import MAD
 from ...nodes import Nodes
 from ...nodes.field import field_doubts
 from ...nodes.observations import at_stop
@@ -20,7 +21,6 @@ FIELD_S = 5.0  # a disturbed field stays so
 OFFSET_SHARE, OFFSET_SHARE_NO_REST, IRON_SHARE = 0.1, 0.02, 0.007  # of the field
 LEVEL_SHARE = 0.5  # of the field that is level: iron turns heading by its share of that
 REST_FLOOR, PLACE_SHARE, MOTION_FLOOR = 0.003, 0.01, 0.01  # of the field
-MAD = 1.4826
 
 
 def field_states(drive: Drive, field: Magnetometer, *, at_rest: bool) -> list[State]:

@@ -6,11 +6,11 @@ import numpy as np
 
 from ...nodes import Nodes
 from ...records import Array, Bools, Warn
+from ...settings import GPS_SIGMA_M, POSITION_SIGMA_M
 from .. import Drive
 from .aids import Place
 from .states import State
 
-GPS_SIGMA_M, POSITION_SIGMA_M = 3.0, 0.1  # where nothing is stated
 LEAST_SIGMA_M = 1e-3  # no receiver is better, whatever it states
 FAST_M_S = 100.0  # a vehicle is hardly faster
 ON_NODE_S = 2e-3  # a fix that lies further from every node is left out

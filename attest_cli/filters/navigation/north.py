@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from ...maths import rotation
+from ...nodes.field import STEEPEST
 from ...records import Array, Smoothed, Warn
 from .aids import Magnetometer
 
 DIP_OFF = np.radians(8.0)  # rad: what soft iron makes of a good reference
 SURE, UNKNOWN = 4.0, 0.9  # sigmas; rad: a north that is not known at all
-STEEPEST = 0.2  # least level share of the field that a heading is told from
 SEEN, INDEPENDENT = 1e-3, 10  # of the best seen combination; readings, for their errors last
 HINT = "is it of this place, with its signs? sigma of heading counts that"
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...maths import rotation
+from ...maths.consistency import MAD
 from ...nodes import Nodes
 from ...nodes.noise import added_density
 from ...records import Array, Warn
@@ -32,7 +33,6 @@ RATE_SHARE = 1e-3  # of the rate: what scale and misalignment leave as noise, ra
 ACCEL_FLOOR, ACCEL_SHARE = 0.05, 0.03  # m/s^2/sqrt(Hz) in motion where no density is stated; share of the acceleration
 SCALE_SIGMA = 5e-3
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
-MAD = 1.4826
 NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
 ROLLING_M_S = 30.0  # of what has wheels, m/s at the start
 NORTH_RAD, WENT = 0.5, 5.0  # sigma of a heading that is shown; share of their sigma by which places have to spread

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support import still
+from support.calibrations import bias_between
 
 from attest_cli.calibration import bias
-from attest_cli.calibration.bias import Fitted, bias_between, choose, fit_models
+from attest_cli.calibration.bias import Fitted, choose, fit_models
 from attest_cli.calibration.rest import Blocks, cut, means
 from attest_cli.calibration.walk import build_walk
 

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.still import vectors
+from support.walking import riccati
 
 from attest_cli.filters import vertical
 from attest_cli.filters.acceleration import Rule
-from attest_cli.filters.vertical import Method, Turns, law, observe, riccati, towards, up
+from attest_cli.filters.vertical import Method, Turns, law, observe, towards, up
 from attest_cli.maths import kalman, rotation
 from attest_cli.maths.sequential import Pass
 
