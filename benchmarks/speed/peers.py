@@ -184,8 +184,8 @@ messages; attest's is its read stage, the first in the process. `ratio` is the p
     return "\n".join([head, *parts])
 
 
-def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent) -> None:
-    """Draw cost and memory against length; peers as what their cost a sample comes to."""
+def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent, long: Whole) -> None:
+    """Draw cost and memory against length, peers as what their cost a sample comes to, and the ratio to each."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -193,11 +193,15 @@ def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent) -> None:
     from attest_cli.figures.style import THEMES
 
     ink = THEMES["light"]
-    figure = Figure(figsize=(8.0, 5.6), layout="constrained", dpi=130)
+    figure = Figure(figsize=(8.0, 8.4), layout="constrained", dpi=130)
     FigureCanvasAgg(figure)
-    cost, memory = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    cost, memory, ratio = figure.subplots(3, 1, height_ratios=(2, 1, 1.3))
     hours = [length / 3600 for length in whole]
-    cost.plot(hours, [cpu for cpu, _ in whole.values()], "o-", color=ink["text"], lw=2, label="attest, whole job")
+    jobs = (whole, "o-", "attest, whole job"), (long, "s-", f"the same, {LONG_HZ} Hz, Parquet")
+    for found, mark, name in jobs:
+        at = [length / 3600 for length in found]
+        cost.plot(at, [cpu for cpu, _ in found.values()], mark, color=ink["text"], lw=2, ms=4, label=name)
+        memory.plot(at, [used for _, used in found.values()], mark, color=ink["text"], lw=2, ms=4)
     for name, names, mark in (("smoothing", SMOOTHER, "-"), ("reading", ("read",), "--")):
         of_stages = [sum(found.get(stage, 0.0) for stage in names) for found in spent.values()]
         cost.plot(hours, of_stages, mark, color=ink["text"], lw=1.5, label=f"attest, {name}")
@@ -206,12 +210,18 @@ def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent) -> None:
         label = f"{row.name}{', reading' if row.reads else ''}"
         colour = mpl.colormaps["tab10"](k)
         cost.plot(hours, [per_hour * h for h in hours], "--" if row.reads else "-", color=colour, lw=1, label=label)
-    memory.plot(hours, [used for _, used in whole.values()], "o-", color=ink["text"], lw=2)
+    named = {f"{row.name}{', reading' if row.reads else ''}": row.seconds / row.attest_seconds for row in rows}
+    ratio.barh(list(named), list(named.values()), color=mpl.colormaps["tab10"](range(len(named))))
+    ratio.axvline(1.0, color=ink["text"], lw=1)
+    ratio.invert_yaxis()
+    ratio.set(xscale="log", xlabel="CPU of the peer over that of attest for the same part of the job")
     cost.set(xscale="log", yscale="log", ylabel="CPU, s", title="cost (peers: reading or smoothing alone)")
     memory.set(xscale="log", xlabel="log, h", ylabel="peak memory, MB", ylim=(0.0, None))
     cost.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=8)
-    for axes in (cost, memory):
+    cost.sharex(memory)
+    for axes in (cost, memory, ratio):
         axes.grid(color=ink["grid"], lw=0.6)
+        axes.set_axisbelow(True)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, facecolor=ink["paper"], metadata={"Software": None})
 
@@ -257,7 +267,7 @@ def main() -> None:
         }
     wanted.output.mkdir(parents=True, exist_ok=True)
     (wanted.output / "speed.md").write_text(page(rows, whole, spent, started, long), encoding="utf-8")
-    draw(wanted.output / "pictures" / "speed.png", rows, whole, spent)
+    draw(wanted.output / "pictures" / "speed.png", rows, whole, spent, long)
 
 
 if __name__ == "__main__":
