@@ -269,6 +269,9 @@ class World:
     notes: tuple[str, ...] = ()
 
 
+BOUNDS = frozenset({"place", "speed"})  # roles of innovations of what is assumed, not measured
+
+
 @dataclass(frozen=True, slots=True)
 class Innovations:
     """One row per measurement: ``role`` (m,) str, ``t``, ``node``, ``dof``, ``nis``, ``used``, ``z`` (m, 3)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..maths import consistency
-from ..records import Array, Bools, Ints, Result
+from ..records import BOUNDS, Array, Bools, Ints, Result
 from . import reduce, style, ticks
 from .drive import Drive
 from .frame import new_page, row_name
@@ -48,11 +48,11 @@ class Found:
 
 
 def sensors(result: Result) -> list[str]:
-    """Sensors with enough measurements for a page, in the order of the file."""
+    """Sensors with enough measurements for a page, in the order of the file; what is only assumed is no sensor."""
     names = np.asarray(result.innovations.get("sensor", np.empty(0, dtype=object))).astype(str)
     kinds, first, counts = np.unique(names, return_index=True, return_counts=True)
     order = np.argsort(first)
-    return [str(kinds[k]) for k in order if counts[k] >= LEAST]
+    return [str(kinds[k]) for k in order if counts[k] >= LEAST and kinds[k] not in BOUNDS]
 
 
 def found(result: Result, sensor: str) -> Found:

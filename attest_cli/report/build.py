@@ -16,7 +16,7 @@ from ..assess import Pass
 from ..estimate import Estimate
 from ..maths.consistency import FEW, agree, lasting, mean_nis, noise_status, rejection_status
 from ..position import Position
-from ..records import Array, Innovations, Log, Recording, Segmentation, Warn
+from ..records import BOUNDS, Array, Innovations, Log, Recording, Segmentation, Warn
 from ..settings import Effective
 
 FIRST_EPOCH_NS = 946_684_800 * 10**9  # clocks before 2000 count from a start of their own
@@ -292,6 +292,9 @@ def _separation_check(apart: Sequence[float], s: Mapping[str, Any]) -> list[dict
 def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
     lines = []
     for role, s in _innovations(found).items():
+        if role in BOUNDS:
+            lines += _bound_check(role, s)
+            continue
         name = SENSOR_NAMES[role] if role.startswith("gps") else role.replace("_", " ")
         if s["rejected"] > (role == "zero_rate"):  # one may be the edge of a stop
             status = rejection_status(s["rejected"], s["count"])
@@ -309,6 +312,17 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
         if role in HEADING_SENSORS:
             lines += _lasting_check(role, found, s["dof"])
     return lines
+
+
+def _bound_check(role: str, s: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Say whether the motion keeps to what is assumed of it; how far inside, says nothing."""
+    if s["used"] < FEW:
+        return []
+    status = noise_status(s["mean_nis"], s["used"], s["dof"])
+    does = "keeps to" if status == "PASS" else "goes beyond"
+    detail = f"mean NIS {s['mean_nis']:.2g} for {_degrees(s['dof'])}; [navigation] motion says what moves"
+    return [_check(f"bound-{role}", status == "PASS", f"The motion {does} the bound on its {role}", detail,
+                   fatal=status == "FAIL")]  # fmt: skip
 
 
 def _lasting_check(role: str, found: Innovations, dof: int) -> list[dict[str, Any]]:

@@ -141,6 +141,20 @@ def test_the_page_of_a_sensor_and_the_report_say_the_same(factor, rejected):
     assert page == next(s for s in ("FAIL", "WARN", "PASS") if s in statuses)
 
 
+@pytest.mark.parametrize(("factor", "status", "says"), [(0.01, "PASS", "keeps to"), (2.0, "WARN", "goes beyond")])
+def test_what_is_only_assumed_is_no_sensor(make, factor, status, says):
+    n = 400
+    role, t, z = np.full(n, "speed"), np.arange(float(n)), np.zeros((n, 3))
+    nis = factor * np.random.default_rng(1).chisquare(3, n)
+    (check,) = _innovation_checks(Innovations(role, t, t.astype(int), np.full(n, 3), nis, np.ones(n, dtype=bool), z))
+    assert (check["name"], check["status"]) == ("bound-speed", status)
+    assert check["fact"] == f"The motion {says} the bound on its speed"
+    result = make()
+    names = np.where(result.innovations["sensor"] == "sun", "speed", result.innovations["sensor"])
+    sensors = innovations.sensors(dataclasses.replace(result, innovations={**result.innovations, "sensor": names}))
+    assert sensors == [name for name in innovations.sensors(result) if name != "sun"] != []
+
+
 def test_innovations_shade_stops_only(make):
     result = make()
     table = {k: v.copy() for k, v in result.innovations.items()}
