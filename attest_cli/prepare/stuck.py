@@ -16,6 +16,9 @@ BESIDE, ABRUPT = 3, 0.05  # steps on either side, share of a usual one: noise-fr
 SOME = 2000  # rows that mostly show that a column is sound
 NEAR, FAINT = 20, 1e-6  # steps on either side that show noise; share of a usual one: rounding
 COARSE_RAD_S = 2e-3  # 16 bits over 2000 deg/s are half of it
+WINDOW, WINDOWS = 100, 1000  # rows; at most, all along the log
+CALM, SHAKES, SAME, FEWEST = 0.1, 3.0, 1.4, 10  # share of the windows; times the calm ones; as loud; windows that tell
+MOSTLY = 0.8  # of the windows before
 COARSE, QUANTA = 1e-3, 3.5  # of a usual step; a coarse sensor at rest holds its value until it changes by one
 
 
@@ -78,6 +81,33 @@ def told_dead(name: str, columns: Sequence[str], constant: Bools) -> list[Warn]:
         return []
     hint = "of an axis that does not measure no turn is known: where it turns, sigma does not hold"
     return [Warn("imu-stuck", f"{name}: {', '.join(which)} never changes: a dead axis", hint)]
+
+
+def told_numb(name: str, columns: Sequence[str], t: Array, gyro: Array) -> list[Warn]:
+    """Say which axes of the gyro (n, 3) hold from some time on nothing but noise.
+
+    What shakes a vehicle shakes all axes: where the others do, by the scatter of their steps in windows, this one did,
+    and then has one level to the end, in shaking and at rest.
+    """
+    count = min((len(gyro) - 1) // WINDOW, WINDOWS)
+    if count < 2 * FEWEST:
+        return []
+    first = np.linspace(0, len(gyro) - 1 - WINDOW, count).astype(np.int64)
+    size = np.diff(gyro[first[:, None] + np.arange(WINDOW + 1)], axis=1).std(axis=1)
+    shaking = size > SHAKES * np.quantile(size, CALM, axis=0)
+    found = []
+    for axis, column in enumerate(columns):
+        shaken = np.flatnonzero(np.delete(shaking, axis, axis=1).any(axis=1))
+        level = float(np.median(size[shaken[-FEWEST:], axis])) if len(shaken) >= 2 * FEWEST else 0.0
+        other = np.flatnonzero((size[:, axis] > SAME * level) | (size[:, axis] < level / SAME))
+        since = int(other[-1]) + 1 if level > 0.0 and len(other) else 0
+        before, after = shaken[shaken < since], shaken[shaken >= since]
+        if min(len(before), len(after)) >= FEWEST and np.mean(size[before, axis] > SHAKES * level) > MOSTLY:
+            found.append(f"{column} from {t[first[since]]:.0f} s on")
+    if not found:
+        return []
+    message = f"{name}: nothing but noise in {', '.join(found)}, while the other axes shake: a dead axis"
+    return [Warn("imu-stuck", message, "no turn about it is known from then on: sigma does not hold", fatal=True)]
 
 
 def _stuck(t: Array, period: float, x: Array) -> Bools:

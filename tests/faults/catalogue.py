@@ -152,9 +152,8 @@ VALUES: dict[str, Fault] = {
     "IMU frozen 0.5 s": Fault("sun", ("imu-stuck",), frozen(30.0, 30.5, *GYRO, *ACCEL)),
     "IMU frozen 10 s": Fault("sun", ("imu-stuck",), frozen(20.0, 30.0, *GYRO, *ACCEL)),
     "IMU frozen 10 s, no heading": Fault("bare", ("imu-stuck",), frozen(20.0, 30.0, *GYRO, *ACCEL)),
-    "gyro axis dead but for its noise": Fault("bare", ("gyro-bias", "gyro-noise-raised"), dead("gyro_z")),
-    "gyro axis dead but for its noise, compass": Fault(
-        "compass", ("gyro-bias", "gyro-noise-raised"), dead("gyro_x")),
+    "gyro axis dead but for its noise": Fault("bare", ("imu-stuck",), dead("gyro_z")),
+    "gyro axis dead but for its noise, compass": Fault("compass", ("imu-stuck",), dead("gyro_x")),
     "gyro axis dead but for its noise, walk": Fault("walk", ("gyro-noise-raised",), dead("gyro_z", 0.005)),
     "gyro holds its values, twice": Fault("sun", ("imu-held",), stale(2, *GYRO)),
     "gyro holds its values, five times, hand": Fault("hand", ("imu-held",), stale(5, *GYRO)),

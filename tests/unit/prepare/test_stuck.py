@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from attest_cli.prepare.stuck import dead, stuck, told_coarse
+from attest_cli.prepare.stuck import dead, stuck, told_coarse, told_numb
 
 T = np.arange(4000) / 100.0
 
@@ -67,3 +67,36 @@ def test_a_rounded_gyro_is_told(rng: np.random.Generator) -> None:
     gyro = values(rng)
     assert told_coarse("log", gyro) == []
     assert [w.code for w in told_coarse("log", np.round(gyro, 2))] == ["gyro-coarse"]
+
+
+def shaken(seed: int = 3, rows: int = 12000) -> tuple[np.ndarray, np.ndarray]:
+    """Times and a gyro (n, 3) at rest and in motion by turns: noise, and what shakes all axes twenty times as much."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(rows) * 0.01
+    gyro = rng.normal(0.0, 1e-3, (rows, 3))
+    gyro[t % 20.0 > 8.0] *= 20.0
+    return t, gyro
+
+
+class TestAnAxisThatHoldsNothingButNoise:
+    NAMES = ("gyro_x", "gyro_y", "gyro_z")
+
+    @pytest.mark.parametrize("axis", [0, 2])
+    @pytest.mark.parametrize("level", [1e-4, 1e-3, 5e-3])
+    def test_is_named_with_its_time(self, axis: int, level: float) -> None:
+        t, gyro = shaken()
+        gyro[5000:, axis] = np.random.default_rng(1).normal(0.3, level, len(t) - 5000)
+        (warning,) = told_numb("log", self.NAMES, t, gyro)
+        assert (warning.code, warning.fatal) == ("imu-stuck", True)
+        assert f"nothing but noise in {self.NAMES[axis]} from 50 s on" in warning.message
+
+    def test_none_is_told_of_sound_axes_and_of_what_may_be_the_motion(self) -> None:
+        t, gyro = shaken()
+        assert not told_numb("log", self.NAMES, t, gyro)
+        back, never, all_calm, short = (gyro.copy() for _ in range(4))
+        back[3000:9000, 2] /= 20.0  # it measures again: the motion was smooth
+        never[:, 2] = np.random.default_rng(1).normal(0.0, 1e-3, len(t))  # from the start: level ground
+        all_calm[5000:] = np.random.default_rng(2).normal(0.0, 1e-3, (len(t) - 5000, 3))  # it stands
+        short[-300:, 2] /= 20.0
+        for other in (back, never, all_calm, short):
+            assert not told_numb("log", self.NAMES, t, other)
