@@ -12,7 +12,7 @@ from ...nodes import Nodes
 from ...records import FilterRun, Smoothed, Warn
 from ...settings import Settings
 from .. import Drive, Forward
-from . import axes, solve
+from . import axes, frame, solve
 from .aids import Place
 from .north import counted
 from .problem import Problem
@@ -20,6 +20,8 @@ from .rounds import Navigated, navigate
 from .shown import shown
 
 SCATTERED = 3.0  # times the sigma of fixes
+WORSE_GYRO, WORST_GYRO = 5e-3, 2e-2  # rad/s/sqrt(Hz): twenty times that of a phone, 70 deg/sqrt(h)
+FAR_WORSE = 10.0  # times its noise at rest
 CONTRADICTED = 4.0  # mean square of innovations over what is expected
 
 
@@ -30,7 +32,8 @@ def forward(drive: Drive) -> Forward:
     if wanders:
         done, axes_told = _with_own_axes(replace(drive, settings=_as_rover(drive.settings)))
     late = (_late(role, lag) for role, lag in sorted(done.learnt.lags.items()))
-    told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *_scattered(drive, done))
+    doubts = (*frame.contradicted(drive.log, done, drive.world.gravity), *_scattered(drive, done), *_noisy(done))
+    told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *doubts)
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
 
@@ -75,7 +78,8 @@ def _scattered(drive: Drive, done: Navigated) -> Iterator[Warn]:
     """Say which fixes scatter, or wander, far more than the log says of them, or than is usual of a receiver."""
     colours = {state.name: state for state in done.problem.layout.coloured()}
     for place in (aid for aid in done.problem.aids if isinstance(aid, Place)):
-        if place.role != "gps" and drive.log.fixes[place.role].sigma is None:
+        stated = "sigma_m" in getattr(drive.settings, place.role).model_fields_set
+        if place.role != "gps" and drive.log.fixes[place.role].sigma is None and not stated:
             continue  # nobody knows what it should be
         found = float(np.nanmedian(place.sigma[:, :2]))
         expected = found / done.learnt.factors.get(place.role, 1.0)
@@ -86,6 +90,18 @@ def _scattered(drive: Drive, done: Navigated) -> Iterator[Warn]:
             )
             hint = f"outliers, a jump, reflections? [{place.role}] sigma_m states it"
             yield Warn(f"{place.role}-scatters", message, hint)
+
+
+def _noisy(done: Navigated) -> Iterator[Warn]:
+    """Say where the drive fits only a gyro that is worse than any: then something contradicts it."""
+    if "gyro" not in done.learnt.factors:
+        return
+    found = float(np.sqrt(np.median(done.problem.inertial.gyro)))
+    times = found / max(done.begun.noise.gyro_density, 1e-9)
+    if found > WORSE_GYRO and times > FAR_WORSE:
+        message = f"all sensors together fit only a gyro {times:.0f} times as noisy in motion as at rest"
+        hint = "something contradicts it: a clock, an axis, a sign or a unit, of the gyro or of what aids it"
+        yield Warn("gyro-noise-in-motion", message, hint, fatal=found > WORST_GYRO)
 
 
 def _run(done: Navigated) -> FilterRun:

@@ -210,6 +210,11 @@ def _hidden_arms(problem: Problem, found: solve.Solution) -> dict[str, Array]:
     return out
 
 
+def smoothed_begin(done: Navigated) -> tuple[Array, Array]:
+    """Return the attitude (n, 4) and gyro bias (n, 3) that the drive began with: no fix is in them."""
+    return _smoothed(done.begun.run)
+
+
 def _smoothed(run: FilterRun) -> tuple[Array, Array]:
     """Return the smoothed attitude (n, 4) and gyro bias (n, 3) of the indirect filter."""
     d = kalman.rts(run.chain).d

@@ -8,8 +8,8 @@ from ...maths import rotation
 from ...records import Array, Imu
 from .aids import Place, Velocity, Wheels
 
-APART_S, LEG_S = 1.0, 10.0  # fixes at least this far apart are compared, with the IMU and with the wheels
-LEAST_TRIPLES = 5
+APARTS_S, LEG_S = (1.0, 2.0, 4.0, 8.0), 10.0  # between fixes that are compared, with the IMU and with the wheels
+LEAST_TRIPLES, LEAST_WIDE = 5, 12  # of fixes; where several distances are tried, chance has more of them
 HOLE = 2.0  # times the usual distance of fixes: across it the heading of the IMU turns too far
 FASTEST_RAD_S = 0.1  # no gyro's bias is larger
 SLOT_S, FINER = 0.5, 4  # in which such a turning is looked for, and how much finer than what the log resolves
@@ -19,7 +19,9 @@ Paths = tuple[Array, Array, Array]
 """When (k,), and two paths as steps or changes (k, 2): as seen, and as felt but for a turn."""
 
 
-def heading_offset(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) -> tuple[Array, float]:
+def heading_offset(
+    imu: Imu, t: Array, q: Array, bias_a: Array, place: Place, *, drifts: bool = True
+) -> tuple[Array, float]:  # fmt: skip
     r"""Return the turn about the vertical (n,), rad, that brings the attitude to the fixes, and its sigma.
 
     Between three fixes the change of the mean velocity is free of position and velocity:
@@ -34,16 +36,23 @@ def heading_offset(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) ->
     ----------
     t, q : (n,), (n, 4) nodes and their attitude, heading unknown
     bias_a : (3,) accelerometer bias, m/s^2
+    drifts : whether the attitude may turn steadily against the fixes
     """
-    paths = _by_imu(imu, t, q, bias_a, place)
-    return (np.zeros(len(t)), np.pi) if paths is None else _turning(t, *paths)
+    path, found = _path(imu, *_felt(imu, t, q, bias_a)), (np.zeros(len(t)), np.pi)
+    for spacing in APARTS_S[: 1 if drifts else None]:  # the noise of fixes fades with it, the drift of the IMU grows
+        paths = _by_imu(imu, path, place, spacing)
+        if paths is None:
+            break
+        psi, sigma = _turning(t, *paths) if drifts else _turn(*paths[1:])
+        found = (np.broadcast_to(psi, (len(t),)), sigma) if sigma < found[1] else found
+    return found
 
 
 def heading_of_velocity(imu: Imu, t: Array, q: Array, velocity: Velocity) -> tuple[Array, float]:
     r"""Return the turn of :func:`heading_offset` from velocities: :math:`v_1-v_0=R_z(\psi)\int(Rf-g)`."""
     _, v = _felt(imu, t, q, np.zeros(3))
     known = np.flatnonzero(np.isfinite(velocity.velocity_n[:, :2]).all(axis=1))
-    rows = known[_apart(velocity.t[known])] if len(known) else known
+    rows = known[apart(velocity.t[known])] if len(known) else known
     if len(rows) < LEAST_TRIPLES + 2:
         return np.zeros(len(t)), np.pi
     when = velocity.t[rows]
@@ -66,7 +75,14 @@ def mirrored(imu: Imu, t: Array, q: Array, place: Place, wheels: Wheels | None) 
     With paths :math:`z,w` in the complex plane :math:`w` turned is :math:`cw`, mirrored :math:`c\bar w`; the coherence
     of both is :math:`|\sum\bar zw|^2/(\sum|z|^2\sum|w|^2)`.
     """
-    paths = _by_imu(imu, t, q, np.zeros(3), place) if wheels is None else _by_wheels(t, q, wheels, place)
+    if wheels is not None:
+        return _flipped(_by_wheels(t, q, wheels, place))
+    path = _path(imu, *_felt(imu, t, q, np.zeros(3)))
+    return any(_flipped(_by_imu(imu, path, place, spacing)) for spacing in APARTS_S)
+
+
+def _flipped(paths: Paths | None) -> bool:
+    """Return whether a path is much more like the mirror image of another than like that."""
     if paths is None:
         return False
     z, w = (path @ np.array([1.0, 1j]) for path in paths[1:])
@@ -75,21 +91,32 @@ def mirrored(imu: Imu, t: Array, q: Array, place: Place, wheels: Wheels | None) 
     return flipped > LIKE and 1.0 - flipped < CLEARLY * (1.0 - turned)
 
 
-def _by_imu(imu: Imu, t: Array, q: Array, bias_a: Array, place: Place) -> Paths | None:
-    """Return the changes of mean velocity at every middle of three fixes, as seen and as felt."""
-    a, v = _felt(imu, t, q, bias_a)
-    dt = np.diff(imu.t)[:, None]
-    p = np.concatenate([np.zeros((1, 2)), np.cumsum(v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:]), axis=0)])
-    rows = _apart(place.t)
-    if len(rows) < LEAST_TRIPLES + 2:
+def _by_imu(imu: Imu, p: Array, place: Place, spacing: float) -> Paths | None:
+    """Return the changes of mean velocity at every middle of three fixes so far apart, as seen and as felt."""
+    rows = apart(place.t, spacing)
+    if len(rows) < (LEAST_TRIPLES if spacing == APARTS_S[0] else LEAST_WIDE) + 2:
         return None
     when = place.t[rows]
-    seen = _second(when, place.place_n[rows, :2])
-    felt = _second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1))
+    seen = second(when, place.place_n[rows, :2])
+    felt = second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1))
     gap = np.diff(when)
     longer = np.maximum(gap[1:], gap[:-1])
     near = longer <= HOLE * np.median(longer)
     return when[1:-1][near], seen[near], felt[near]
+
+
+def path_felt(imu: Imu, t: Array, q: Array, gravity: float) -> Array:
+    """Return the path (n, 3) that the IMU feels, in the axes of the attitude, but for a velocity. ``gravity`` m/s^2."""
+    p = _path(imu, *_felt(imu, t, q, np.zeros(3)))
+    p[:, 2] -= 0.5 * gravity * (imu.t - imu.t[0]) ** 2
+    return p
+
+
+def _path(imu: Imu, a: Array, v: Array) -> Array:
+    """Return the integral (n, d) of a velocity whose acceleration is linear between samples."""
+    dt = np.diff(imu.t)[:, None]
+    steps = v[:-1] * dt + dt**2 / 6 * (2 * a[:-1] + a[1:])
+    return np.concatenate([np.zeros((1, v.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def _by_wheels(t: Array, q: Array, wheels: Wheels, place: Place) -> Paths | None:
@@ -98,7 +125,7 @@ def _by_wheels(t: Array, q: Array, wheels: Wheels, place: Place) -> Paths | None
     velocity[wheels.node] = rotation.rotate(q[wheels.node], wheels.velocity_v @ wheels.R_vb)[:, :2]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    rows = _apart(place.t, LEG_S)
+    rows = apart(place.t, LEG_S)
     if len(rows) < LEAST_TRIPLES + 1:
         return None
     went = np.stack([np.interp(place.t[rows], t, path[:, i]) for i in range(2)], axis=1)
@@ -106,17 +133,17 @@ def _by_wheels(t: Array, q: Array, wheels: Wheels, place: Place) -> Paths | None
 
 
 def _felt(imu: Imu, t: Array, q: Array, bias_a: Array) -> tuple[Array, Array]:
-    """Return the level acceleration and velocity (n, 2) that the IMU feels, in the axes of the attitude."""
+    """Return specific force and its integral (n, 3) that the IMU feels, in the axes of the attitude."""
     at = np.interp(imu.t, t, np.arange(len(t)))
     left = np.minimum(at.astype(np.int64), len(t) - 2)
     turn = rotation.log_quaternion(rotation.multiply(rotation.conjugate(q[left]), q[left + 1]))
     attitude = rotation.multiply(q[left], rotation.exp_quaternion((at - left)[:, None] * turn))
-    a = rotation.rotate(attitude, imu.accel_b - bias_a)[:, :2]
+    a = rotation.rotate(attitude, imu.accel_b - bias_a)
     steps = 0.5 * (a[1:] + a[:-1]) * np.diff(imu.t)[:, None]
-    return a, np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return a, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
 
-def _apart(t: Array, least: float = APART_S) -> list[int]:
+def apart(t: Array, least: float = APARTS_S[0]) -> list[int]:
     """Return rows at least so far apart."""
     rows = [0]
     for k in range(1, len(t)):
@@ -156,7 +183,7 @@ def _turn(seen: Array, felt: Array) -> tuple[float, float]:
     return psi, float(min(np.pi, np.sqrt(misfit / max(float(np.sum(felt**2)), 1e-12))))
 
 
-def _second(t: Array, p: Array) -> Array:
+def second(t: Array, p: Array) -> Array:
     """Return the change of the mean velocity at every middle of three."""
     mean = np.diff(p, axis=0) / np.diff(t)[:, None]
     return np.asarray(np.diff(mean, axis=0))

@@ -1,0 +1,140 @@
+"""Whether fixes are in the axes and the unit that they should be: their path against the one that the IMU feels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...records import Array, Imu, Log, Warn
+from .aids import Place, Wheels
+from .rounds import Navigated, smoothed_begin
+from .start import apart, heading_of_wheels, heading_offset, path_felt, second
+
+SPACINGS_S = (0.5, 1.0, 2.0)  # of the fixes that are compared: a vehicle turns slower than a hand
+LAGS_S = np.arange(-1.0, 1.01, 0.05)  # by which their stamps may be late
+LEAST = 20  # changes of velocity
+COHERENT, ASIDE = 0.9, 0.8  # share of the squares that a path explains; and along its narrowest direction
+ASKEW = np.radians(20.0)  # a lever arm that swings may turn the path by some of it
+UNIT = 2.0  # a lever arm that swings may stretch it by some of it; units differ by more
+DOWN = np.radians(160.0)
+HEADINGS = ("magnetometer", "compass", "sun", "orientation")  # sensors of it
+AWAY, SURE = np.radians(15.0), 5.0  # of a heading from the way of the fixes that is told; in sigmas of theirs
+NEAR, AGREE = np.radians(3.0), 2.0  # the same of one that agrees with them in the end
+HINT = "positions are metres east, north and up: mend their source"
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """How fixes :math:`z` and the path :math:`w` that the IMU feels agree best: :math:`z=sQw`, ``Q`` (3, 3)
+    orthogonal.
+    """
+
+    Q: Array
+    scale: float
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether no turn makes one of the other."""
+        return bool(np.linalg.det(self.Q) < 0.0)
+
+    @property
+    def off_up(self) -> float:
+        """Angle of their third axis to the vertical, rad."""
+        return float(np.arccos(np.clip(self.Q[2, 2], -1.0, 1.0)))
+
+
+def frame_of(imu: Imu, t: Array, q: Array, place: Place, gravity: float) -> Frame | None:
+    r"""Return how the fixes lie to the path that the IMU feels, or None where they do not show it.
+
+    Between three fixes the change of the mean velocity is free of position and velocity; of the changes seen :math:`z`
+    and felt :math:`w` the orthogonal Procrustes problem (Schoenemann 1966) gives
+
+    .. math:: \sum zw^T=U\Sigma V^T,\quad Q=UV^T,\quad s=\mathrm{tr}\,\Sigma/\sum|w|^2,\quad
+        \gamma=(\mathrm{tr}\,\Sigma)^2/(\sum|z|^2\sum|w|^2)
+
+    at the lag of the largest coherence :math:`\gamma`. A flat path does not tell a mirror image from a turn.
+
+    Parameters
+    ----------
+    t, q : (n,), (n, 4) nodes and their attitude
+    gravity : m/s^2
+    """
+    path, best, found = path_felt(imu, t, q, gravity), COHERENT, None
+    for spacing in SPACINGS_S:
+        rows = np.array(apart(place.t, spacing)) if len(place.t) else np.zeros(0, dtype=np.int64)
+        for lag in LAGS_S:
+            when = place.t[rows] - lag
+            inside = rows[(when > t[0]) & (when < t[-1])]
+            if len(inside) < LEAST + 2:
+                continue
+            when = place.t[inside] - lag
+            felt = second(when, np.stack([np.interp(when, imu.t, path[:, i]) for i in range(3)], axis=1))
+            seen = second(when, place.place_n[inside])
+            known = np.isfinite(seen).all(axis=1)
+            coherence, frame = _agreed(seen[known], felt[known])
+            if coherence > best and frame is not None:
+                best, found = coherence, frame
+    return found
+
+
+def contradicted(log: Log, done: Navigated, gravity: float) -> Iterator[Warn]:
+    """Say where fixes contradict the axes, or the heading, that the other sensors show.
+
+    The axes are held against the attitude that no fix has bent yet, the heading against the one that was found.
+    """
+    t, aids = done.nodes.t, done.problem.aids
+    q, _ = smoothed_begin(done)
+    places = [aid for aid in aids if isinstance(aid, Place)]
+    for place in places:
+        frame = frame_of(log.imu, t, q, place, gravity)
+        told = [] if frame is None else doubts(place.role, frame)
+        yield from told
+        if told:
+            return  # its heading is that of other axes
+    sensors = [role for role in HEADINGS if role in log.fixes]
+    if not places or not sensors or done.begun.run.heading != "absolute":
+        return
+    (begun, sigma), (ended, left) = (_off(log, done, at, places[0]) for at in (q, done.found.smoothed.q))
+    least = max(AWAY, SURE * sigma)
+    if abs(begun) > least:
+        role, names = places[0].role, " and ".join(sensors)
+        message = f"heading by {names} is {np.degrees(abs(begun)):.0f} deg off the way of the fixes of {role}"
+        hint = f"which of them is wrong? check sign, mounting and reference of the one, the axes of {role}"
+        overruled = sensors == ["magnetometer"] and role == "gps" and abs(ended) < max(NEAR, AGREE * left)
+        yield Warn("heading-contradicted", message, hint, fatal=not overruled)
+
+
+def _off(log: Log, done: Navigated, q: Array, place: Place) -> tuple[float, float]:
+    """Return the turn about the vertical, rad, from an attitude ``q`` (n, 4) to the way of the fixes, and its sigma."""
+    t = done.nodes.t
+    turn, sigma = heading_offset(log.imu, t, q, np.zeros(3), place, drifts=False)
+    by_path = [heading_of_wheels(t, q, aid, place) for aid in done.problem.aids if isinstance(aid, Wheels)]
+    return min([(float(turn[0]), sigma), *by_path], key=lambda way: way[1])
+
+
+def _agreed(seen: Array, felt: Array) -> tuple[float, Frame | None]:
+    """Return the coherence of changes of velocity (k, 3), and the frame if all its directions are shown."""
+    squares = float(np.sum(seen**2) * np.sum(felt**2))
+    if len(seen) < LEAST or squares == 0.0:
+        return 0.0, None
+    U, size, V = np.linalg.svd(seen.T @ felt)
+    narrow, wide = seen @ U[:, 2], felt @ V[2]
+    aside = float(narrow @ wide) ** 2 / max(float(np.sum(narrow**2) * np.sum(wide**2)), 1e-300)
+    frame = Frame(U @ V, float(size.sum() / np.sum(felt**2)))
+    return float(size.sum()) ** 2 / squares, frame if aside > ASIDE else None
+
+
+def doubts(role: str, frame: Frame) -> list[Warn]:
+    """Say which axes or which unit the fixes cannot be in."""
+    facts = []
+    if not 1.0 / UNIT < frame.scale < UNIT:
+        facts.append(f"go {frame.scale:.3g} times as far as the accelerometer feels")
+    if frame.off_up > DOWN:
+        facts.append("count height downwards")
+    elif frame.off_up > ASKEW:
+        facts.append(f"have a third axis that is {np.degrees(frame.off_up):.0f} deg from the vertical")
+    elif frame.mirrored:
+        facts.append("are a mirror image of the path that the IMU feels")
+    return [Warn(f"{role}-frame", f"the fixes of {role} {' and '.join(facts)}", HINT, fatal=True)] if facts else []
