@@ -27,6 +27,7 @@ LEAST_PERIODS = 1.5  # of the odometry: a lag of one sample is not told from how
 NEAR_DEG = 3.0  # axes that agree to this, or to three sigma, are taken as equal
 UPRIGHT_DEG = 30.0  # gravity this near to the IMU's z axis: its x axis is taken as forward
 MOST_PARTS, REFITS, FAR_OFF = 16, 3, 5.0  # of a drive, to find slips; times the median misfit: a block of a slip
+UNLIKE, UNLIKE_SIGMAS = 0.5, 6.0  # the same where no axis is sure; blocks are not independent
 WRONG_SCALE = 0.25  # wheel speed this far from what the accelerometer shows contradicts it
 
 
@@ -55,6 +56,11 @@ class Mounting:
     def contradicted(self) -> bool:
         """Whether the wheel speed is wrong in size or sign by more than its calibration can be."""
         return abs(self.scale - 1.0) > max(WRONG_SCALE, 4.0 * self.scale_sigma)
+
+    @property
+    def unlike(self) -> bool:
+        """Whether wheels and accelerometer surely do not speed up together, along whatever axis."""
+        return 1.0 - self.scale > max(UNLIKE, UNLIKE_SIGMAS * self.scale_sigma)
 
 
 def find_mounting(imu: Imu, q: Array, segmentation: Segmentation, odometry: Fixes, gravity: float) -> Mounting | None:

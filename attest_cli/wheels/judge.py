@@ -62,7 +62,7 @@ def judge(
     if lag:
         word = "late" if lag > 0 else "early"
         told.append(Warn("odometry-late", f"odometry is {abs(lag):.2f} s {word} against the IMU: corrected"))
-    doubt, hint = _contradiction(segmentation, odometry, seat, given=given), "check its unit, sign and channel"
+    doubt, hint = _contradiction(segmentation, odometry, seat, given=given), "check its unit, sign, clock and channel"
     if not doubt:
         spans, most = slips(log.imu, q, segmentation, wheels, rotation.matrix(q_bv)[:, 0], gravity)
         share = _share(spans, segmentation)
@@ -83,7 +83,7 @@ def _contradiction(segmentation: Segmentation, odometry: Fixes, seat: Mounting |
     if moving.sum() >= mounting.LEAST_BLOCKS and float(np.abs(speed).max(initial=0.0)) < DEAD_M_S:
         return "odometry reads zero while the IMU moves"
     if seat is None or not seat.certain:
-        return ""
+        return "wheels and accelerometer do not speed up together" if seat is not None and seat.unlike else ""
     if seat.contradicted:
         return f"odometry is {1.0 / seat.scale:.2g} times the speed that the accelerometer shows"
     off = np.degrees(np.arccos(np.clip(rotation.matrix(seat.q_bv)[0, 0], -1.0, 1.0)))

@@ -83,6 +83,14 @@ def test_forward_axis_is_found_within_four_sigma(work: Job, name: str) -> None:
     )  # up is the mean slope of the stops: only roughly the vehicle's
 
 
+def test_wheels_that_are_seconds_late_do_not_speed_up_as_the_accelerometer(work: Job) -> None:
+    right, late = seated(work, np.eye(3)), seated(work, np.eye(3), late_s=4.0)
+    assert right is not None
+    assert late is not None
+    assert not right.unlike
+    assert late.unlike
+
+
 def test_the_seat_does_not_depend_on_the_imus_axes(work: Job) -> None:
     R_vb = Rotation.from_euler("xyz", SEATS["upside down, askew"], degrees=True).as_matrix()
     straight, turned = seated(work, np.eye(3)), seated(work, R_vb)

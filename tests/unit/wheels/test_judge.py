@@ -10,6 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from support.drives import Job, simulated
 
+from attest_cli import mounting
+from attest_cli.mounting import Mounting
 from attest_cli.simulate import RoverOptions
 from attest_cli.wheels import Judged, judge
 
@@ -61,6 +63,18 @@ def test_wheels_that_most_of_the_drive_contradicts_are_refused_once(work: Job, w
     forced = judged(work, change, position="odometry")
     assert forced.forced
     assert forced.fixes is not None
+
+
+@pytest.mark.parametrize(("scale", "sigma", "used"), [(0.37, 0.06, False), (0.37, 0.2, True), (0.8, 0.02, True)])
+def test_wheels_that_surely_do_not_speed_up_as_the_accelerometer_are_refused_though_no_axis_is_sure(
+    work: Job, scale: float, sigma: float, used: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wheels that are seconds late, say: the axis that is assumed for them must not be believed."""
+    vague = Mounting(np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.05, 0.2, 0.2]), scale, sigma, 0.0, "")
+    monkeypatch.setattr(mounting, "find_mounting", lambda *_: vague)
+    found = judged(work, np.zeros_like)
+    assert (found.fixes is not None) == used
+    assert [w.code for w in found.told] == ([] if used else ["odometry-contradicts"])
 
 
 @pytest.mark.parametrize(("position", "code"), [("auto", "odometry-not-used"), ("odometry", "mounting-not-shown")])
