@@ -23,6 +23,7 @@ HELD_RUN, HELD_QUANTILE, HELD_TIMES, HELD_SHARE = 20, 0.95, 5.0, 0.3
 """Rows of one speed of wheels that are many, and against what is usual of the log; the most of them that may hang."""
 
 LONGEST_SUN = 1.05  # two components of a unit vector, with their noise
+JUMPS, USUAL_STEP = 3.0, 0.95  # times the quantile of the steps of a tracker: what stood still does not leap so far
 DRIVING_M_S, SIDEWAYS, NOISY = 0.1, 3.0, 6.0
 SPIKE = 0.1  # of the field: what is less hardly turns a heading
 CHECKED_FOR_REPEATS = frozenset({"sun", "orientation", "gps", "gps_velocity"})
@@ -71,6 +72,8 @@ def fixes_of(role: str, channel: Channel, span: Span, settings: Settings, warnin
         inside &= _fresh(role, channel.name, values, warnings)
     if role == "magnetometer":
         inside &= _calm(channel.name, values, warnings)
+    if role == "position":
+        inside &= _following(channel.name, values, warnings)
     if role == "odometry":
         inside &= _turning(channel.name, stamps_ns, values, warnings)
     t = seconds(stamps_ns[inside], span.t0_ns)
@@ -136,6 +139,26 @@ def _fresh(role: str, name: str, values: Array, warnings: list[Warn]) -> Bools:
             Warn("stale-repeats", message, "a repeat is no new measurement; leave blank what was not measured")
         )
     return fresh
+
+
+def _following(name: str, values: Array, warnings: list[Warn]) -> Bools:
+    """Tell positions from one held in place of those that follow: it stands still to the last bit, and then leaps."""
+    step = np.append(0.0, np.linalg.norm(np.nan_to_num(np.diff(values, axis=0)), axis=1))
+    starts = np.flatnonzero(step != 0.0) if step.any() else np.zeros(0, dtype=np.int64)
+    if not len(starts):
+        return np.ones(len(values), dtype=np.bool_)
+    first = np.append(0, starts)
+    runs, leaps = np.diff(np.append(first, len(values))), np.append(step[starts], 0.0)
+    held = (runs > STALE_RUN) & (leaps > JUMPS * np.quantile(step[starts], USUAL_STEP))
+    stale: Bools = np.repeat(held, runs)
+    stale[first] = False
+    if stale.any():
+        message = f"{np.count_nonzero(stale)} of {len(values)} measurements of {name} (position) dropped"
+        most = int(runs[held].max())
+        hint = "the tracker lost its sight? leave blank what was not measured"
+        message = f"{message}: exact repeats, up to {most} in a row, and then a leap"
+        warnings.append(Warn("stale-repeats", message, hint))
+    return ~stale
 
 
 def _calm(name: str, values: Array, warnings: list[Warn]) -> Bools:

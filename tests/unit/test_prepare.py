@@ -523,6 +523,19 @@ class TestFixes:
         assert "4 of 9" in log.warnings[0].message
         assert "5 in a row" in log.warnings[0].message
 
+    @pytest.mark.parametrize(("leap", "told"), [(0.5, ["stale-repeats"]), (0.01, [])])
+    def test_a_tracker_that_stands_still_to_the_last_bit_and_leaps_has_not_measured(
+        self, leap: float, told: list[str]
+    ) -> None:
+        """One that truly stands still, to its last digit, goes on from there."""
+        t = np.arange(0.0, 9.9, 0.05)
+        steps = np.random.default_rng(4).normal(0.0, 0.01, (len(t), 3))
+        steps[60:100] = 0.0
+        steps[100] = leap
+        log = log_of(imu(), fixes("position", t, np.cumsum(steps, axis=0)))
+        assert codes(log) == told
+        assert len(log.fixes["position"].t) == len(t) - 40 * bool(told)
+
     @pytest.mark.parametrize(("held", "told"), [(1.5, ["odometry-stuck"]), (0.0, [])])
     def test_wheels_that_hold_one_speed_for_long_are_dropped_unless_they_stand(
         self, held: float, told: list[str]
