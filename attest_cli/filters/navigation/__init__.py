@@ -16,7 +16,7 @@ from . import axes, frame, solve
 from .aids import Place
 from .north import counted
 from .problem import Problem
-from .rounds import Navigated, navigate
+from .rounds import Navigated, left_lags, navigate
 from .shown import shown
 
 SCATTERED = 3.0  # times the sigma of fixes
@@ -31,8 +31,11 @@ def forward(drive: Drive) -> Forward:
     wanders = _wanders(done)
     if wanders:
         done, axes_told = _with_own_axes(replace(drive, settings=_as_rover(drive.settings)))
-    late = (_late(role, lag) for role, lag in sorted(done.learnt.lags.items()))
-    doubts = (*frame.contradicted(drive.log, done, drive.world.gravity), *_scattered(drive, done), *_noisy(done))
+    left = left_lags(done)
+    late = [_late(role, lag) for role, lag in sorted(done.learnt.lags.items()) if role not in left]
+    late += [_too_late(role, lag) for role, lag in sorted(left.items())]
+    doubts = [] if left else [*frame.contradicted(drive.log, done, drive.world.gravity), *_noisy(done)]
+    doubts += _scattered(drive, done)
     told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *doubts)
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
@@ -72,6 +75,12 @@ def _as_rover(settings: Settings) -> Settings:
 def _late(role: str, lag: float) -> Warn:
     word = "late" if lag > 0 else "early"
     return Warn(f"{role}-late", f"{role} is {abs(lag):.3f} s {word} against the IMU: corrected")
+
+
+def _too_late(role: str, lag: float) -> Warn:
+    word = "late" if lag > 0 else "early"
+    message = f"{role} is {abs(lag):.1f} s or more {word} against the IMU: more than is corrected"
+    return Warn(f"{role}-late", message, "mend its clock: leap seconds, a time zone, a delay of the link?", fatal=True)
 
 
 def _scattered(drive: Drive, done: Navigated) -> Iterator[Warn]:

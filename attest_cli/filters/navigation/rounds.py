@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -187,15 +187,23 @@ def _solved(drive: Drive, problem: Problem) -> solve.Solution:
 
 def _lags(problem: Problem, found: solve.Solution, known: Mapping[str, float]) -> dict[str, float]:
     """Return how late fixes still are, s, where that is sure, and can be."""
-    out = {}
+    return {role: lag for role, lag in _sure_lags(problem, found) if abs(known.get(role, 0.0) + lag) < MOST_LAG_S}
+
+
+def _sure_lags(problem: Problem, found: solve.Solution) -> Iterator[tuple[str, float]]:
+    """Yield how late fixes still are, s, where that is sure."""
     for name, part in problem.layout.parts.items():
         if name.endswith(" lag"):
             at = part.start
             lag, sigma = float(found.smoothed.x[0, at]), float(np.sqrt(found.errors.P[0, at, at]))
-            role = name.removesuffix(" lag")
-            if abs(lag) > max(LEAST_LAG_S, SURE * sigma) and abs(known.get(role, 0.0) + lag) < MOST_LAG_S:
-                out[role] = lag
-    return out
+            if abs(lag) > max(LEAST_LAG_S, SURE * sigma):
+                yield name.removesuffix(" lag"), lag
+
+
+def left_lags(done: Navigated) -> dict[str, float]:
+    """Return how late, s, fixes would be that are later than a receiver can be: they were not moved by that."""
+    whole = {role: done.learnt.lags.get(role, 0.0) + lag for role, lag in _sure_lags(done.problem, done.found)}
+    return {role: lag for role, lag in whole.items() if abs(lag) >= MOST_LAG_S}
 
 
 def _hidden_arms(problem: Problem, found: solve.Solution) -> dict[str, Array]:

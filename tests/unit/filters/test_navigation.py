@@ -182,6 +182,15 @@ def test_fixes_that_scatter_far_more_than_their_log_says_are_told(stated: float,
     assert ("position-scatters" in {w.code for w in found.warnings}) == told
 
 
+@pytest.mark.parametrize(("lag", "fatal"), [(0.3, False), (-1.6, True), (3.0, True)])
+def test_fixes_later_than_a_receiver_can_be_fail_and_are_not_said_to_be_corrected(lag: float, fatal: bool) -> None:
+    found = navigation.forward(car(2, lag=lag, sigma=0.05, seconds=60.0)[0])
+    (told,) = (w for w in found.warnings if w.code == "position-late")
+    assert told.fatal == fatal
+    assert ("more than is corrected" in told.message) == fatal
+    assert "heading-contradicted" not in {w.code for w in found.warnings}
+
+
 @pytest.mark.parametrize("turn", [-3.0, 0.5, 2.0])
 @pytest.mark.parametrize("drift", [0.0, -0.06, 0.03])
 def test_heading_is_found_from_where_the_car_went(turn: float, drift: float) -> None:
