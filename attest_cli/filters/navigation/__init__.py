@@ -34,7 +34,9 @@ def forward(drive: Drive) -> Forward:
     left = left_lags(done)
     late = [_late(role, lag) for role, lag in sorted(done.learnt.lags.items()) if role not in left]
     late += [_too_late(role, lag) for role, lag in sorted(left.items())]
-    doubts = [] if left else [*frame.contradicted(drive.log, done, drive.world.gravity), *_noisy(done)]
+    doubts = frame.of_receiver(drive)
+    doubts += [] if left or doubts else frame.contradicted(drive.log, done, drive.world.gravity)
+    doubts += [] if left or doubts else _noisy(done)
     doubts += _scattered(drive, done)
     told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *doubts)
     nodes = _scaled(done.nodes, done.problem, done.found)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...records import Array, Imu, Log, Warn
+from .. import Drive
 from .aids import Place, Wheels
+from .fixes import possible
 from .rounds import Navigated, smoothed_begin
 from .start import apart, heading_of_wheels, heading_offset, path_felt, second
 
@@ -22,6 +24,8 @@ DOWN = np.radians(160.0)
 HEADINGS = ("magnetometer", "compass", "sun", "orientation")  # sensors of it
 AWAY, SURE = np.radians(15.0), 5.0  # of a heading from the way of the fixes that is told; in sigmas of theirs
 NEAR, AGREE = np.radians(3.0), 2.0  # the same of one that agrees with them in the end
+LEG_S, LEAST_LEGS = 5.0, 10  # between fixes that velocities are held against
+CLEARLY, FACTOR = 0.3, 1.25  # of what is left by the way as it is; knots, mph, km/h and ft/s differ by more
 HINT = "positions are metres east, north and up: mend their source"
 
 
@@ -77,6 +81,54 @@ def frame_of(imu: Imu, t: Array, q: Array, place: Place, gravity: float) -> Fram
             if coherence > best and frame is not None:
                 best, found = coherence, frame
     return found
+
+
+def of_receiver(drive: Drive) -> list[Warn]:
+    r"""Say where the velocities of a receiver do not lead along its own fixes.
+
+    Of legs between fixes, :math:`z` in the complex plane, and the integral :math:`w` of the velocity over them
+
+    .. math:: z=cw,\quad c=\sum z\bar w/\sum|w|^2
+
+    tells scale and turn, and the same with :math:`\bar w` a mirror image.
+    """
+    fixes = drive.log.fixes
+    if not {"gps", "gps_velocity"} <= fixes.keys():
+        return []
+    use, place, _ = possible(drive, "gps")
+    t, p, v = fixes["gps"].t[use], place[use], fixes["gps_velocity"]
+    rows = np.array(apart(t, LEG_S)) if len(t) else np.zeros(0, dtype=np.int64)
+    rows = rows[(t[rows] >= v.t[0]) & (t[rows] <= v.t[-1])]
+    if len(rows) < LEAST_LEGS + 1:
+        return []
+    steps = 0.5 * (v.values[1:] + v.values[:-1]) * np.diff(v.t)[:, None]
+    way = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    led = np.diff(np.stack([np.interp(t[rows], v.t, way[:, i]) for i in range(3)], axis=1), axis=0)
+    facts = _of_way(np.diff(p[rows], axis=0), led)
+    hint = "velocities are m/s east, north and up (or down): mend the names, with --columns, or the unit"
+    message = f"the velocities of gps {' and '.join(facts)}"
+    return [Warn("gps-velocity-contradicted", message, hint, fatal=True)] if facts else []
+
+
+def _of_way(seen: Array, led: Array) -> list[str]:
+    """Say how legs of velocity ``led`` (k, 3) differ from those of fixes, ``seen`` (k, 3)."""
+    z, w = (legs[:, :2] @ np.array([1.0, 1.0j]) for legs in (seen, led))
+    size = max(float(np.sum(np.abs(z) ** 2) * np.sum(np.abs(w) ** 2)), 1e-300)
+    turned, flipped = (np.abs(np.sum(z * np.conj(x))) ** 2 / size for x in (w, np.conj(w)))
+    facts = []
+    if flipped > COHERENT and 1.0 - flipped < CLEARLY * (1.0 - turned):
+        facts.append("are a mirror image of the way of its fixes")
+    elif turned > COHERENT:
+        c = np.sum(z * np.conj(w)) / np.sum(np.abs(w) ** 2)
+        if not 1.0 / FACTOR < np.abs(c) < FACTOR:
+            facts.append(f"go {1.0 / np.abs(c):.3g} times as far as its fixes")
+        if np.abs(np.angle(c)) > AWAY:
+            facts.append(f"are turned {np.degrees(np.abs(np.angle(c))):.0f} deg against its fixes")
+    up, rises = seen[:, 2], led[:, 2]
+    size = max(float(np.sum(up**2) * np.sum(rises**2)), 1e-300)
+    if up @ rises < 0.0 and (up @ rises) ** 2 > ASIDE * size:
+        facts.append("rise where its fixes sink")
+    return facts
 
 
 def contradicted(log: Log, done: Navigated, gravity: float) -> Iterator[Warn]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from attest_cli.filters.navigation import _noisy, frame
 from attest_cli.filters.navigation.aids import Place
 from attest_cli.maths import rotation
-from attest_cli.records import Imu
+from attest_cli.records import Fixes, Imu
+from attest_cli.settings import Settings
 
 Array = NDArray[np.float64]
 GRAVITY = 9.80665
@@ -108,3 +109,28 @@ def test_a_gyro_that_would_have_to_be_worse_than_any_is_told(density: float, fat
         problem=SimpleNamespace(inertial=SimpleNamespace(gyro=np.full(9, density**2))),
     )  # fmt: skip
     assert [w.fatal for w in _noisy(done)] == ([] if fatal is None else [fatal])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (RIGHT, ""), (1.1 * RIGHT, ""), (3.6 * RIGHT, "go 3.6"), (-RIGHT, "turned 180 deg"),
+        (np.diag([1.0, 1.0, -1.0]), "rise where its fixes sink"), (RIGHT[[1, 0, 2]], "mirror image"),
+    ],
+)  # fmt: skip
+def test_velocities_that_do_not_lead_along_the_fixes_of_their_receiver_are_told(change: Array, words: str) -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 90.0, 0.2)
+    heading = 0.9 * np.sin(0.1 * t) + 0.05 * t
+    v = 8.0 * np.stack([np.cos(heading), np.sin(heading), 0.2 * np.sin(0.15 * t)], axis=1)
+    p = np.cumsum(0.2 * v, axis=0)[::5] + rng.normal(0.0, 1.0, (len(t[::5]), 3))
+    told = v @ change.T + rng.normal(0.0, 0.1, v.shape)
+    values = p / [6.378e6 * np.cos(0.8), 6.378e6, 1.0]
+    gps = Fixes("gps", "fix", t[::5], values[:, [1, 0, 2]] + np.array([0.8, 0.1, 400.0]))
+    velocity = Fixes("gps_velocity", "v", t, told)
+    drive: Any = SimpleNamespace(
+        log=SimpleNamespace(fixes={"gps": gps, "gps_velocity": velocity}), settings=Settings()
+    )  # fmt: skip
+    found = frame.of_receiver(drive)
+    assert [w.fatal for w in found] == [True] * bool(words)
+    assert all(words in w.message for w in found)
