@@ -31,7 +31,7 @@ def forward(drive: Drive) -> Forward:
     wanders = _wanders(done)
     if wanders:
         done, axes_told = _with_own_axes(replace(drive, settings=_as_rover(drive.settings)))
-    left = left_lags(done)
+    left = left_lags(done) | frame.far_lags(drive.log, done)
     late = [_late(role, lag) for role, lag in sorted(done.learnt.lags.items()) if role not in left]
     late += [_too_late(role, lag) for role, lag in sorted(left.items())]
     doubts = frame.of_receiver(drive)

@@ -12,7 +12,7 @@ from .. import Drive
 from .aids import Place, Wheels
 from .fixes import possible
 from .rounds import Navigated, smoothed_begin
-from .start import apart, heading_of_wheels, heading_offset, path_felt, second
+from .start import apart, heading_of_wheels, heading_offset, lag_of, path_felt, second
 
 SPACINGS_S = (0.5, 1.0, 2.0)  # of the fixes that are compared: a vehicle turns slower than a hand
 LAGS_S = np.arange(-1.0, 1.01, 0.05)  # by which their stamps may be late
@@ -81,6 +81,14 @@ def frame_of(imu: Imu, t: Array, q: Array, place: Place, gravity: float) -> Fram
             if coherence > best and frame is not None:
                 best, found = coherence, frame
     return found
+
+
+def far_lags(log: Log, done: Navigated) -> dict[str, float]:
+    """Return how late fixes are, s, that are further off than is corrected."""
+    t, (q, _) = done.nodes.t, smoothed_begin(done)
+    places = [aid for aid in done.problem.aids if isinstance(aid, Place)]
+    lags = {place.role: lag_of(log.imu, t, q, place) for place in places}
+    return {role: lag + done.learnt.lags.get(role, 0.0) for role, lag in lags.items() if lag}
 
 
 def of_receiver(drive: Drive) -> list[Warn]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ...maths import rotation
-from ...records import Array, Imu
+from ...records import Array, Imu, Ints
 from .aids import Place, Velocity, Wheels
 
 APARTS_S, LEG_S = (1.0, 2.0, 4.0, 8.0), 10.0  # between fixes that are compared, with the IMU and with the wheels
@@ -15,6 +17,8 @@ FASTEST_RAD_S = 0.1  # no gyro's bias is larger
 SLOT_S, FINER = 0.5, 4  # in which such a turning is looked for, and how much finer than what the log resolves
 WORTH = 6.0  # log-likelihood that it has to bring
 LIKE, CLEARLY = 0.8, 0.3  # coherence of a path with another that is mirrored; times what is left of it as it is
+LAG_STEP_S, NEAR_STEPS, LAG_STEPS = 0.2, 5, 150  # s; of lags that are looked for elsewhere; of 30 s, leap seconds
+MOST = 1000  # fixes that a lag is found from
 Paths = tuple[Array, Array, Array]
 """When (k,), and two paths as steps or changes (k, 2): as seen, and as felt but for a turn."""
 
@@ -39,8 +43,8 @@ def heading_offset(
     drifts : whether the attitude may turn steadily against the fixes
     """
     path, found = _path(imu, *_felt(imu, t, q, bias_a)), (np.zeros(len(t)), np.pi)
-    for spacing in APARTS_S[: 1 if drifts else None]:  # the noise of fixes fades with it, the drift of the IMU grows
-        paths = _by_imu(imu, path, place, spacing)
+    for rows in _spaced(place.t, APARTS_S[:1] if drifts else APARTS_S):  # noise of fixes fades, drift of the IMU grows
+        paths = _by_imu(imu, path, place, rows)
         if paths is None:
             break
         psi, sigma = _turning(t, *paths) if drifts else _turn(*paths[1:])
@@ -78,7 +82,15 @@ def mirrored(imu: Imu, t: Array, q: Array, place: Place, wheels: Wheels | None) 
     if wheels is not None:
         return _flipped(_by_wheels(t, q, wheels, place))
     path = _path(imu, *_felt(imu, t, q, np.zeros(3)))
-    return any(_flipped(_by_imu(imu, path, place, spacing)) for spacing in APARTS_S)
+    return any(_flipped(_by_imu(imu, path, place, rows)) for rows in _spaced(place.t))
+
+
+def _spaced(t: Array, spacings: tuple[float, ...] = APARTS_S) -> Iterator[Ints]:
+    """Yield rows of fixes that are ever further apart, as long as there are enough of them."""
+    for spacing in spacings:
+        rows = np.array(apart(t, spacing), dtype=np.int64)
+        if spacing == APARTS_S[0] or len(rows) >= LEAST_WIDE + 2:
+            yield rows
 
 
 def _flipped(paths: Paths | None) -> bool:
@@ -91,12 +103,40 @@ def _flipped(paths: Paths | None) -> bool:
     return flipped > LIKE and 1.0 - flipped < CLEARLY * (1.0 - turned)
 
 
-def _by_imu(imu: Imu, p: Array, place: Place, spacing: float) -> Paths | None:
-    """Return the changes of mean velocity at every middle of three fixes so far apart, as seen and as felt."""
-    rows = apart(place.t, spacing)
-    if len(rows) < (LEAST_TRIPLES if spacing == APARTS_S[0] else LEAST_WIDE) + 2:
+def lag_of(imu: Imu, t: Array, q: Array, place: Place) -> float:
+    r"""Return how late fixes are, s, where that is beyond what the navigation looks for and sure, else 0.
+
+    The coherence of :func:`mirrored`, which no heading changes, is largest where both paths are of the same time.
+    """
+    path = _path(imu, *_felt(imu, t, q, np.zeros(3)))
+    near, best, lag = 0.0, LIKE, 0.0
+    for rows in _spaced(place.t):
+        for step in range(-LAG_STEPS, LAG_STEPS + 1):
+            paths = _by_imu(imu, path, place, rows[:MOST], LAG_STEP_S * step)
+            coherent = _coherent(*paths[1:]) if paths is not None and len(paths[0]) >= LEAST_WIDE else 0.0
+            if abs(step) <= NEAR_STEPS:
+                near = max(near, coherent)
+            elif coherent > best:
+                best, lag = coherent, LAG_STEP_S * step
+    return lag if 1.0 - best < CLEARLY * (1.0 - near) else 0.0
+
+
+def _coherent(seen: Array, felt: Array) -> float:
+    """Return the coherence of two paths (k, 2)."""
+    z, w = (path @ np.array([1.0, 1j]) for path in (seen, felt))
+    size = max(float(np.sum(np.abs(z) ** 2) * np.sum(np.abs(w) ** 2)), 1e-300)
+    return float(np.abs(np.sum(np.conj(z) * w)) ** 2) / size
+
+
+def _by_imu(imu: Imu, p: Array, place: Place, rows: Ints, lag: float = 0.0) -> Paths | None:
+    """Return the changes of mean velocity at every middle of three of the fixes ``rows``, as seen and as felt; of fixes
+    that are late by ``lag``, s.
+    """
+    if lag:
+        rows = rows[(place.t[rows] - lag >= imu.t[0]) & (place.t[rows] - lag <= imu.t[-1])]
+    if len(rows) < LEAST_TRIPLES + 2:
         return None
-    when = place.t[rows]
+    when = place.t[rows] - lag
     seen = second(when, place.place_n[rows, :2])
     felt = second(when, np.stack([np.interp(when, imu.t, p[:, i]) for i in range(2)], axis=1))
     gap = np.diff(when)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from attest_cli.filters.navigation import _noisy, frame
 from attest_cli.filters.navigation.aids import Place
+from attest_cli.filters.navigation.start import lag_of
 from attest_cli.maths import rotation
 from attest_cli.records import Fixes, Imu
 from attest_cli.settings import Settings
@@ -71,6 +72,17 @@ def test_axes_and_unit_of_fixes_are_held_against_the_path_that_the_imu_feels(Q: 
 def test_what_a_flat_or_noisy_path_does_not_show_is_not_told(flat: float, sigma: float) -> None:
     imu, nodes, q, p, t = moved(flat)
     assert frame.frame_of(imu, nodes, q, fixes(p, t, np.diag([1.0, 1.0, -1.0]), sigma=sigma), GRAVITY) is None
+
+
+@pytest.mark.parametrize(
+    ("late", "sigma", "found"),
+    [(0.0, 0.01, 0.0), (0.5, 0.01, 0.0), (5.0, 0.01, 5.0), (-3.4, 0.2, -3.4), (5.0, 5.0, 0.0)],
+)
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_fixes_on_another_clock_are_told_by_how_much(late: float, sigma: float, found: float, turn: float) -> None:
+    imu, nodes, q, p, t = moved()
+    R = rotation.matrix(rotation.exp_quaternion(np.array([0.0, 0.0, turn])))
+    assert lag_of(imu, nodes, q, fixes(p, t, R, late, sigma)) == pytest.approx(found)
 
 
 @pytest.mark.parametrize(
