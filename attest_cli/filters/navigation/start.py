@@ -109,16 +109,17 @@ def lag_of(imu: Imu, t: Array, q: Array, place: Place) -> float:
     The coherence of :func:`mirrored`, which no heading changes, is largest where both paths are of the same time.
     """
     path = _path(imu, *_felt(imu, t, q, np.zeros(3)))
-    near, best, lag = 0.0, LIKE, 0.0
-    for rows in _spaced(place.t):
-        for step in range(-LAG_STEPS, LAG_STEPS + 1):
-            paths = _by_imu(imu, path, place, rows[:MOST], LAG_STEP_S * step)
-            coherent = _coherent(*paths[1:]) if paths is not None and len(paths[0]) >= LEAST_WIDE else 0.0
-            if abs(step) <= NEAR_STEPS:
-                near = max(near, coherent)
-            elif coherent > best:
-                best, lag = coherent, LAG_STEP_S * step
-    return lag if 1.0 - best < CLEARLY * (1.0 - near) else 0.0
+    every = list(_spaced(place.t))
+
+    def coherent(step: int) -> float:
+        found = (_by_imu(imu, path, place, rows[:MOST], LAG_STEP_S * step) for rows in every)
+        return max((_coherent(*of[1:]) for of in found if of is not None and len(of[0]) >= LEAST_WIDE), default=0.0)
+
+    near = max(coherent(step) for step in range(-NEAR_STEPS, NEAR_STEPS + 1))
+    if near > LIKE:
+        return 0.0
+    best, step = max((coherent(step), step) for step in range(-LAG_STEPS, LAG_STEPS + 1))
+    return LAG_STEP_S * step if best > LIKE and 1.0 - best < CLEARLY * (1.0 - near) else 0.0
 
 
 def _coherent(seen: Array, felt: Array) -> float:
