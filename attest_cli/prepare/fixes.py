@@ -149,9 +149,10 @@ def _following(name: str, values: Array, warnings: list[Warn]) -> Bools:
         return np.ones(len(values), dtype=np.bool_)
     first = np.append(0, starts)
     runs, leaps = np.diff(np.append(first, len(values))), np.append(step[starts], 0.0)
-    held = (runs > STALE_RUN) & (leaps > JUMPS * np.quantile(step[starts], USUAL_STEP))
+    far = JUMPS * float(np.quantile(step[starts], USUAL_STEP))
+    held = (runs > STALE_RUN) & (leaps > far)
     stale: Bools = np.repeat(held, runs)
-    stale[first] = False
+    stale[first] = held & (step[first] > far)  # where it leapt there too, as to 0, 0, 0, it never was there
     if stale.any():
         message = f"{np.count_nonzero(stale)} of {len(values)} measurements of {name} (position) dropped"
         most = int(runs[held].max())

@@ -536,6 +536,15 @@ class TestFixes:
         assert codes(log) == told
         assert len(log.fixes["position"].t) == len(t) - 40 * bool(told)
 
+    def test_a_tracker_that_says_zero_where_it_sees_nothing_was_never_there(self) -> None:
+        t = np.arange(0.0, 9.9, 0.05)
+        values = np.array([3.0, 2.0, 1.0]) + np.cumsum(np.random.default_rng(4).normal(0.0, 0.01, (len(t), 3)), axis=0)
+        values[60:100] = 0.0
+        log = log_of(imu(), fixes("position", t, values))
+        assert codes(log) == ["stale-repeats"]
+        assert len(log.fixes["position"].t) == len(t) - 40
+        assert np.all(log.fixes["position"].values[:, 0] > 1.0)
+
     @pytest.mark.parametrize(("held", "told"), [(1.5, ["odometry-stuck"]), (0.0, [])])
     def test_wheels_that_hold_one_speed_for_long_are_dropped_unless_they_stand(
         self, held: float, told: list[str]
