@@ -21,6 +21,7 @@ from .shown import shown
 
 SCATTERED = 3.0  # times the sigma of fixes
 WORSE_GYRO, WORST_GYRO = 5e-3, 2e-2  # rad/s/sqrt(Hz): twenty times that of a phone, 70 deg/sqrt(h)
+NO_WEATHER_M = 6.0  # of height in ten minutes: 0.7 hPa
 FAR_WORSE = 10.0  # times its noise at rest
 CONTRADICTED = 4.0  # mean square of innovations over what is expected
 
@@ -37,7 +38,7 @@ def forward(drive: Drive) -> Forward:
     doubts = frame.of_receiver(drive)
     doubts += [] if left or doubts else frame.contradicted(drive.log, done, drive.world.gravity)
     doubts += [] if left or doubts else _noisy(done)
-    doubts += _scattered(drive, done)
+    doubts += [*_scattered(drive, done), *_wandering(done)]
     told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *doubts)
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
@@ -101,6 +102,15 @@ def _scattered(drive: Drive, done: Navigated) -> Iterator[Warn]:
             )
             hint = f"outliers, a jump, reflections? [{place.role}] sigma_m states it"
             yield Warn(f"{place.role}-scatters", message, hint)
+
+
+def _wandering(done: Navigated) -> Iterator[Warn]:
+    """Say where a height wanders as no weather makes it: it does not count then, whatever the reason."""
+    for state in (state for state in done.problem.layout.coloured() if state.name == "height drift"):
+        found = float(np.max(state.sigma))
+        if found > NO_WEATHER_M:
+            message = f"height wanders by {found:.2g} m against the fixes: it hardly counts"
+            yield Warn("height-wanders", message, "is its sign, unit or clock wrong, or is it that of a lift, or wind?")
 
 
 def _noisy(done: Navigated) -> Iterator[Warn]:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from attest_cli.filters.navigation import _noisy, frame
+from attest_cli.filters.navigation import _noisy, _wandering, frame
 from attest_cli.filters.navigation.aids import Place
 from attest_cli.filters.navigation.start import lag_of
+from attest_cli.filters.navigation.states import State
 from attest_cli.maths import rotation
 from attest_cli.records import Fixes, Imu
 from attest_cli.settings import Settings
@@ -121,6 +122,14 @@ def test_a_gyro_that_would_have_to_be_worse_than_any_is_told(density: float, fat
         problem=SimpleNamespace(inertial=SimpleNamespace(gyro=np.full(9, density**2))),
     )  # fmt: skip
     assert [w.fatal for w in _noisy(done)] == ([] if fatal is None else [fatal])
+
+
+@pytest.mark.parametrize(("drift", "told"), [(1.0, False), (4.0, False), (16.0, True)])
+def test_a_height_that_wanders_as_no_weather_makes_it_is_told(drift: float, told: bool) -> None:
+    states = State("height drift", 1, drift, 600.0), State("gps drift", 3, 50.0, 60.0)
+    layout = SimpleNamespace(coloured=lambda: states)
+    done: Any = SimpleNamespace(problem=SimpleNamespace(layout=layout))
+    assert [w.code for w in _wandering(done)] == ["height-wanders"] * told
 
 
 @pytest.mark.parametrize(
