@@ -44,7 +44,7 @@ PLACES = (
     ("stale-repeats imu-held *stuck* *frozen*", "values", "repeats"),
     ("*-clipped", "values", "range"),
     ("gyro-coarse", "values", "resolution"),
-    ("*spikes", "values", "spikes"),
+    ("*spikes imu-zero-rows", "values", "spikes"),
     ("accel-scale accel-bias", "units", "gravity"),
     ("gyro-against-* gyro-scale separation", "units", "gyro"),
     ("unit-*", "units", "stated"),
@@ -55,6 +55,7 @@ PLACES = (
     ("sun-reference", "sun", "reference"),
     ("magnetometer-uncalibrated no-magnetic-reference field-reference", "magnetometer", "reference"),
     ("calibration-* gyro-noise-* gyro-bias *bias-* no-bias", "verdict", "noise"),
+    ("bound-*", "verdict", "bounds"),
     ("data", "stamps", "rate"),
     ("no-heading north-not-shown not-* no-absolute position", "verdict", "estimate"),
 )
