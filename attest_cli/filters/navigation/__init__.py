@@ -37,8 +37,9 @@ def forward(drive: Drive) -> Forward:
     late += [_too_late(role, lag) for role, lag in sorted(left.items())]
     doubts = frame.of_receiver(drive)
     doubts += [] if left or doubts else frame.contradicted(drive.log, done, drive.world.gravity)
-    doubts += [] if left or doubts else _noisy(done)
-    doubts += [*_scattered(drive, done), *_wandering(done)]
+    scattered = list(_scattered(drive, done))
+    doubts += [] if left or doubts else _noisy(done, explained=bool(scattered))
+    doubts += [*scattered, *_wandering(done)]
     told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *doubts)
     nodes = _scaled(done.nodes, done.problem, done.found)
     return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
@@ -113,8 +114,10 @@ def _wandering(done: Navigated) -> Iterator[Warn]:
             yield Warn("height-wanders", message, "is its sign, unit or clock wrong, or is it that of a lift, or wind?")
 
 
-def _noisy(done: Navigated) -> Iterator[Warn]:
-    """Say where the drive fits only a gyro that is worse than any: then something contradicts it."""
+def _noisy(done: Navigated, *, explained: bool) -> Iterator[Warn]:
+    """Say where the drive fits only a gyro that is worse than any: then something contradicts it; no failure where
+    fixes that scatter explain it.
+    """
     if "gyro" not in done.learnt.factors:
         return
     found = float(np.sqrt(np.median(done.problem.inertial.gyro)))
@@ -122,7 +125,7 @@ def _noisy(done: Navigated) -> Iterator[Warn]:
     if found > WORSE_GYRO and times > FAR_WORSE:
         message = f"all sensors together fit only a gyro {times:.0f} times as noisy in motion as at rest"
         hint = "something contradicts it: a clock, an axis, a sign or a unit, of the gyro or of what aids it"
-        yield Warn("gyro-noise-in-motion", message, hint, fatal=found > WORST_GYRO)
+        yield Warn("gyro-noise-in-motion", message, hint, fatal=found > WORST_GYRO and not explained)
 
 
 def _run(done: Navigated) -> FilterRun:

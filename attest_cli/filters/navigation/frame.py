@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...maths import rotation
 from ...records import Array, Imu, Log, Warn
 from .. import Drive
 from .aids import Place, Wheels
@@ -156,13 +157,16 @@ def contradicted(log: Log, done: Navigated, gravity: float) -> Iterator[Warn]:
     sensors = [role for role in HEADINGS if role in log.fixes]
     if not places or not sensors or done.begun.run.heading != "absolute":
         return
-    (begun, sigma), (ended, left) = (_off(log, done, at, places[0]) for at in (q, done.found.smoothed.q))
+    begun, sigma = _off(log, done, q, places[0])
     least = max(AWAY, SURE * sigma)
     if abs(begun) > least:
         role, names = places[0].role, " and ".join(sensors)
         message = f"heading by {names} is {np.degrees(abs(begun)):.0f} deg off the way of the fixes of {role}"
         hint = f"which of them is wrong? check sign, mounting and reference of the one, the axes of {role}"
-        overruled = sensors == ["magnetometer"] and role == "gps" and abs(ended) < max(NEAR, AGREE * left)
+        turn = rotation.multiply(done.found.smoothed.q, rotation.conjugate(q))  # what became of it in the end
+        left = float(np.angle(np.exp(1j * begun) * np.mean((turn[:, 0] - 1j * turn[:, 3]) ** 2)))
+        near = min(AWAY, max(NEAR, AGREE * sigma))
+        overruled = sensors == ["magnetometer"] and role == "gps" and abs(left) < near
         yield Warn("heading-contradicted", message, hint, fatal=not overruled)
 
 
