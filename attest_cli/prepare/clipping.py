@@ -13,7 +13,8 @@ from ..settings.models import EARTH_GRAVITY_M_S2
 BAND = 0.02  # of the largest value: plateaus of calibrated axes are not quite level
 KINK = 10.0  # a plateau's edges are so many times steeper than its own samples; those of a smooth peak 2 to 3 times
 LEVEL = 0.75  # of those edges: how far all of its samples may lie apart
-LEAST_RUN, LONE_RUN = 3, 5  # samples of a plateau; of one that stands alone in its log
+LEAST_RUN, LONE_RUN, LONG_RUN = 3, 5, 10  # samples of a plateau; of one that stands alone in its log, and wanders
+LONE_LEVEL = 0.1  # as LEVEL, of one that stands alone: of noise five samples lie that near by a far smaller chance
 LONGEST_S = 3.0  # what stays longer is a sensor that is stuck
 GYRO_FLOOR, ACCEL_FLOOR = 1.7, 15.0  # rad/s, m/s^2: below the range of any common sensor (100 deg/s, 1.5 g)
 PILED, TINY, PILE, BELOW = 1e-3, 1e-12, 3.0, 3.0  # of the level; rounding; times as many as in so many sigma below
@@ -47,7 +48,7 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
 
     A plateau is a run of at least three samples within 2 % of the log's largest value whose edges are ten times
     steeper than the median step on it (or one count): a smooth peak of the same height has edges 2 to 3 times
-    steeper. Two plateaus, or one of five samples, tell a range; below ``floor`` there is none. Once it is known,
+    steeper. Two plateaus, or one that is level or long, tell a range; below ``floor`` there is none. Once it is known,
     every sample that reaches the lowest plateau counts. Where many samples are ``piled`` up, no floor is asked for.
 
     Parameters
@@ -72,7 +73,7 @@ def clipped(t: Array, values: Array, floor: float) -> list[Clipped]:
         runs = [(a, b) for a, b in _runs(y >= (1.0 - BAND) * level) if b - a >= LEAST_RUN]
         flat = [run for a, b in runs if (run := _plateau(y, a, b, count)) is not None]
         flat = [(a, b) for a, b in flat if t[b - 1] - t[a] < LONGEST_S]
-        if len(flat) > 1 or any(b - a >= LONE_RUN for a, b in flat):
+        if len(flat) > 1 or any(_alone(y, a, b) for a, b in flat):
             least = min(float(y[a:b].min()) for a, b in flat)
             found.append(_clipped(t, axis, sign * level, y >= least))
     return found
@@ -168,6 +169,12 @@ def _plateau(y: Array, a: int, b: int, count: float) -> tuple[int, int] | None:
     edges = y[a] - y[a - 1], y[b - 1] - y[b]
     level = np.ptp(y[a:b]) < LEVEL * min(edges)
     return (a, b) if min(edges) > steep and level and b - a >= LEAST_RUN else None
+
+
+def _alone(y: Array, a: int, b: int) -> bool:
+    """Whether one plateau tells a range: it is long, or far more level than five samples of noise are."""
+    edges = min(y[a] - y[a - 1], y[b - 1] - y[b])
+    return b - a >= LONG_RUN or (b - a >= LONE_RUN and float(np.ptp(y[a:b])) < LONE_LEVEL * edges)
 
 
 def _close(t: Array, anchors: Ints, a: int, b: int, period: float) -> bool:

@@ -254,6 +254,17 @@ def test_long_clipping_is_no_gap_and_fails_where_nothing_tells_how_far_it_turned
     assert not len(log.gaps)
 
 
+def test_five_samples_of_vibration_that_lie_level_by_chance_are_no_range() -> None:
+    rng = np.random.default_rng(5)
+    y = 15.0 * np.sin(0.05 * np.arange(1000)) + rng.normal(0.0, 0.2, 1000)
+    y[500:507] = [23.85, 24.25, 24.27, 24.23, 24.21, 24.24, 23.38]  # a car's log
+    values = np.stack([y, 0.1 * y, 0.2 * y], axis=1)
+    assert not clipping.clipped(np.arange(1000) * 0.01, values, clipping.ACCEL_FLOOR)
+    values[501:506, 0] = 24.27  # as the end of a range is
+    (found,) = clipping.clipped(np.arange(1000) * 0.01, values, clipping.ACCEL_FLOOR)
+    assert np.flatnonzero(found.rows).tolist() == [501, 502, 503, 504, 505]
+
+
 def test_one_long_run_at_the_highest_value_is_stuck() -> None:
     t, rate = turning()
     rate[4000:4500, 1] = 0.6
