@@ -110,14 +110,17 @@ def job(name: str, log: Path, runs: int) -> dict[str, float]:
     return best
 
 
-def against(peer: Peer, logs: dict[int, Path], spent: Spent, runs: int) -> Row:
-    """Run a peer on the longest log it gets."""
-    length = max(length for length in logs if length <= peer.most_s)
-    found = job(peer.job, logs[length], runs)
-    ours = spent[length]["read"] if peer.reads else sum(spent[length].get(name, 0.0) for name in SMOOTHER)
+def ours(log: Path, out: Path, runs: int) -> tuple[dict[str, float], tuple[float, float]]:
+    """Return the stages and the whole job of attest."""
+    return stages(log, out, runs), whole_job(log, out, WHOLE_RUNS * runs)
+
+
+def against(peer: Peer, length: int, found: dict[str, float], spent: Spent) -> Row:
+    """Hold what a peer's job printed of the longest log it gets against the same part of attest's."""
+    mine = spent[length]["read"] if peer.reads else sum(spent[length].get(name, 0.0) for name in SMOOTHER)
     name = f"{peer.distribution} {version(peer.distribution)}"
     inclination = found.get("inclination_deg")
-    return Row(name, length, found["seconds"], ours, int(found["rows"]), inclination, peer.gives, peer.reads)
+    return Row(name, length, found["seconds"], mine, int(found["rows"]), inclination, peer.gives, peer.reads)
 
 
 def starts(log: Path, runs: int) -> list[tuple[str, float]]:
@@ -156,11 +159,12 @@ def page(rows: Sequence[Row], whole: Whole, spent: Spent, started: Sequence[tupl
     head = f"""# Speed
 
 `python benchmarks/speed/peers.py{" --long" * bool(long)}` makes this page ({machine}; CPU time, user + system,
-the least of the runs; of whole jobs up to an hour there are {2 * WHOLE_RUNS} times as many; ratios below 1.3 are
-undecided). The log: `attest simulate rover`, {RATE_HZ} Hz IMU, {SENSORS.replace(",", ", ")}; ROS 2 MCAP in zstd.
-(A log whose gyro looks out of scale is filtered twice: 0.2 s an hour more.) Smoothers get arrays, and only their own
-work counts; attest's is from preintegration to full-rate attitude with its sigma. Readers make objects or arrays of all
-messages; attest's is its read stage, the first in the process. `ratio` is the peer's cost over attest's.
+the least of the runs; attest runs before the peers and after them, {WHOLE_RUNS} times as often in the whole job;
+ratios below 1.3 are undecided). The log: `attest simulate rover`, {RATE_HZ} Hz IMU, {SENSORS.replace(",", ", ")};
+ROS 2 MCAP in zstd. (A log whose gyro looks out of scale is filtered twice: 0.2 s an hour more.) Smoothers get arrays,
+and only their own work counts; attest's is from preintegration to full-rate attitude with its sigma. Readers make
+objects or arrays of all messages; attest's is its read stage, the first in the process. `ratio` is the peer's cost over
+attest's.
 
 ![cost and memory against length](pictures/speed.png)
 """
@@ -227,26 +231,27 @@ def draw(path: Path, rows: Sequence[Row], whole: Whole, spent: Spent, long: Whol
 
 
 def measured(folder: Path, lengths: Sequence[int], runs: int) -> tuple[list[Row], Whole, Spent]:
-    """Run everything."""
+    """Run everything: attest, the peers, and attest again, for a shared machine has slow minutes."""
     logs = {length: made(folder, length) for length in lengths}
     out = folder / "speed.attest"
-    spent = {length: stages(log, out, runs) for length, log in logs.items()}
-    first = {length: whole_job(log, out, WHOLE_RUNS * runs) for length, log in logs.items()}
-    print(first, flush=True)
-    rows = []
+    before = {length: ours(log, out, runs) for length, log in logs.items()}
+    found = {}
     for peer in PEERS:
         try:
             version(peer.distribution)
         except PackageNotFoundError:
             print(f"{peer.distribution}: not installed, left out")
             continue
-        rows.append(against(peer, logs, spent, runs))
-        print(rows[-1], flush=True)
+        length = max(length for length in logs if length <= peer.most_s)
+        found[peer] = length, job(peer.job, logs[length], runs)
+        print(peer.distribution, found[peer], flush=True)
     whole: Whole = {}
+    spent: Spent = {}
     for length, log in logs.items():
-        cpu, memory = whole_job(log, out, WHOLE_RUNS * runs)
-        whole[length] = min(cpu, first[length][0]), max(memory, first[length][1])
-    return rows, whole, spent
+        (spent[length], first), (again, last) = before[length], ours(log, out, runs)
+        spent[length] = {name: min(seconds, again.get(name, seconds)) for name, seconds in spent[length].items()}
+        whole[length] = min(first[0], last[0]), max(first[1], last[1])
+    return [against(peer, *ran, spent) for peer, ran in found.items()], whole, spent
 
 
 def main() -> None:
