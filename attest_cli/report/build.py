@@ -316,11 +316,11 @@ def _innovation_checks(found: Innovations) -> list[dict[str, Any]]:
 
 def _bound_check(role: str, s: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Say whether the motion keeps to what is assumed of it; how far inside, says nothing."""
-    if s["used"] < FEW:
-        return []
-    status = noise_status(s["mean_nis"], s["used"], s["dof"])
+    judged = [rejection_status(s["rejected"], s["count"])]
+    judged += [noise_status(s["mean_nis"], s["used"], s["dof"])] if s["used"] >= FEW else []
+    status = max(judged, key=("PASS", "WARN", "FAIL").index)
     does = "keeps to" if status == "PASS" else "goes beyond"
-    detail = f"mean NIS {s['mean_nis']:.2g} for {_degrees(s['dof'])}; [navigation] motion says what moves"
+    detail = f"{s['rejected']} of {s['count']} times by far; [navigation] motion says what moves"
     return [_check(f"bound-{role}", status == "PASS", f"The motion {does} the bound on its {role}", detail,
                    fatal=status == "FAIL")]  # fmt: skip
 

@@ -143,7 +143,8 @@ def _of_way(seen: Array, led: Array) -> list[str]:
 def contradicted(log: Log, done: Navigated, gravity: float) -> Iterator[Warn]:
     """Say where fixes contradict the axes, or the heading, that the other sensors show.
 
-    The axes are held against the attitude that no fix has bent yet, the heading against the one that was found.
+    Both are held against the attitude that no fix has bent yet. Where the heading has followed the fixes in the end, a
+    magnetometer was overruled, and the track does not suffer.
     """
     t, aids = done.nodes.t, done.problem.aids
     q, _ = smoothed_begin(done)

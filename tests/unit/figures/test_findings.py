@@ -141,14 +141,19 @@ def test_the_page_of_a_sensor_and_the_report_say_the_same(factor, rejected):
     assert page == next(s for s in ("FAIL", "WARN", "PASS") if s in statuses)
 
 
-@pytest.mark.parametrize(("factor", "status", "says"), [(0.01, "PASS", "keeps to"), (2.0, "WARN", "goes beyond")])
-def test_what_is_only_assumed_is_no_sensor(make, factor, status, says):
+@pytest.mark.parametrize(
+    ("factor", "far", "status"),
+    [(0.01, 0, "PASS"), (2.0, 0, "WARN"), (0.01, 2, "PASS"), (0.01, 40, "WARN"), (0.01, 200, "FAIL")],
+)
+def test_what_is_only_assumed_is_no_sensor(make, factor, far, status):
     n = 400
     role, t, z = np.full(n, "speed"), np.arange(float(n)), np.zeros((n, 3))
     nis = factor * np.random.default_rng(1).chisquare(3, n)
-    (check,) = _innovation_checks(Innovations(role, t, t.astype(int), np.full(n, 3), nis, np.ones(n, dtype=bool), z))
+    (check,) = _innovation_checks(Innovations(role, t, t.astype(int), np.full(n, 3), nis, t >= far, z))
     assert (check["name"], check["status"]) == ("bound-speed", status)
+    says = "keeps to" if status == "PASS" else "goes beyond"
     assert check["fact"] == f"The motion {says} the bound on its speed"
+    assert f"{far} of 400 times" in check["detail"]
     result = make()
     names = np.where(result.innovations["sensor"] == "sun", "speed", result.innovations["sensor"])
     sensors = innovations.sensors(dataclasses.replace(result, innovations={**result.innovations, "sensor": names}))
