@@ -16,11 +16,12 @@ from ..maths.consistency import upper_quantile
 from ..maths.kalman import Chain, Update, iterated_update
 from ..nodes import Nodes, build_nodes, mean_rate
 from ..nodes.noise import motion_density, reference_bias
-from ..nodes.observations import observe
+from ..nodes.observations import Observation, observe
 from ..records import Array, FilterRun, Innovations, Warn
 from ..sensors import Measurement
 from . import Drive, Forward, closure, scale
 from .alignment import Start, align
+from .wheeled import verticals
 
 MOST_RAISES = 6  # of the gyro's noise in motion
 LEAST_RAISE = 1.1
@@ -28,6 +29,7 @@ ABSURD = 10.0  # times its noise: no gyro drifts so in motion, it contradicts th
 ACCELEROMETER = {"accel-bias", "accel-scale"}  # causes that are none of the gyro
 FEW_MOTIONS = 4
 FAR = 30.0  # NIS that is larger counts as this
+UNSEEN_SCALE = 5e-3  # scale error of a gyro as it comes: what is assumed elsewhere, sensors bound
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
 
@@ -55,11 +57,15 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
     better, told = _scaled(begun) if asked else (None, ())
     if better is not None:
         mends = better.log is not drive.log
-        again = _begin(better, None) if mends else _noisier(begun, better)
+        again = _begin(better, None) if mends else _with_noise(begun, better, gate)
         solved = consistent_run(again.nodes, again.start, gate, again.run)
-        if solved[2] <= (1.0 if mends else raised) and (not mends or _less_left(begun.run, again.run)):
+        if solved[2] <= (1.0 if mends else raised) and (not mends or _refused(again.run) <= _refused(begun.run)):
             begun, (nodes, found, raised) = replace(again, warnings=(*again.warnings, *told)), solved
             causes = closure.doubts(better, raised=raised > 1.0)
+    if epochs is None and begun.drive.noise.gyro_scale > 0.0 and _heading(found) == "relative":
+        stated = begun.drive.settings.imu.gyro_scale_sigma is not None
+        nodes = _turning(nodes, found, 0.0 if stated else UNSEEN_SCALE)
+        found = run(nodes, begun.start, gate)
     noise, warnings = begun.drive.noise, [*begun.warnings]
     if raised > 1.0:
         noise = replace(noise, gyro_density=noise.gyro_density * np.sqrt(raised))
@@ -68,45 +74,71 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
     return Forward(replace(found, heading=_heading(found)), noise, nodes, begun.start, tuple(warnings))
 
 
-def _begin(drive: Drive, epochs: Array | None) -> Begun:
-    """Put a drive on nodes, align and run forward."""
+def _begin(drive: Drive, epochs: Array | None, more: Sequence[Observation] = ()) -> Begun:
+    """Put a drive on nodes, with ``more`` observations than its sensors make by themselves, align and run forward."""
     settings = drive.settings
     observations, warnings = observe(drive.log, drive.segmentation, drive.world, drive.noise, settings)
+    observations = sorted([*observations, *more], key=lambda o: o.t) if more else observations
     nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, settings, epochs)
     start = align(nodes, settings.imu.gyro_bias_sigma, magnetic=drive.world.field_n is None)
     return Begun(drive, nodes, start, run(nodes, start, settings.smoothing.gate_probability), tuple(warnings))
 
 
 def _scaled(begun: Begun) -> tuple[Drive | None, tuple[Warn, ...]]:
-    """Return the drive with another scale of the gyro, or noise for it, where its sensors show one; told where sure."""
-    ungated = _ungated(begun)
-    alone = scale.learn(begun.nodes, ungated)
-    better, told = scale.mended(begun.drive, *alone)
-    if better is not None or not scale.ALIKE & begun.drive.log.fixes.keys():
-        return better, told
-    error, sigma = scale.learn(begun.nodes, ungated, scale.ASKED | scale.ALIKE)
-    better, told = scale.doubted(begun.drive, alone, (error, sigma))
-    if better is None or not _less_left(begun.run, _begin(scale.without(begun.drive, error), None).run, error / sigma):
-        return None, ()  # it does not explain what the compass misses
-    return better, told
+    """Return the drive with another scale of the gyro, or noise for it, where its sensors show one; told where sure.
+
+    Where they do not show it well, the wheels are asked for the vertical in motion.
+    """
+    drive, more = begun.drive, list[Observation]()
+    exact = _exact(begun)
+    alone = scale.learn(exact.nodes, exact.run)
+    if alone[1] > scale.VAGUE and (more := verticals(drive, exact.nodes, exact.run)):
+        exact = _exact(_begin(drive, None, more))
+        alone = scale.learn(exact.nodes, exact.run)
+
+    def explains(error: float, sigmas: float) -> bool:
+        """Whether the sensors miss less without it."""
+        return _less_left(exact.run, _exact(_begin(scale.without(drive, error), None, more)).run, sigmas)
+
+    better, told = scale.mended(drive, *alone)
+    if better is not None:
+        return (better, told) if better.log is drive.log or explains(alone[0], scale.SURE) else (None, ())
+    if not scale.ALIKE & drive.log.fixes.keys():
+        return None, ()
+    error, sigma = scale.learn(exact.nodes, exact.run, scale.ASKED | scale.ALIKE)
+    better, told = scale.doubted(drive, alone, (error, sigma))
+    return (better, told) if better is not None and explains(error, error / sigma) else (None, ())
 
 
-def _noisier(begun: Begun, drive: Drive) -> Begun:
-    """Run again with more noise of the gyro in motion, and all else as it is."""
+def _exact(begun: Begun) -> Begun:
+    """Return the drive as if its gyro had no scale error: a run that refuses nothing, whose innovations show one."""
+    drive, found = begun.drive, begun.run.innovations
+    if drive.noise.gyro_scale > 0.0:
+        return _with_noise(begun, replace(drive, noise=replace(drive.noise, gyro_scale=0.0)), 1.0)
+    refused = bool(np.any((found.role == "gravity") & ~found.used))
+    return replace(begun, run=run(begun.nodes, begun.start, 1.0)) if refused else begun
+
+
+def _with_noise(begun: Begun, drive: Drive, gate: float) -> Begun:
+    """Run again with other noise of the gyro in motion, and all else as it is."""
     nodes = begun.nodes
     middle = 0.5 * (nodes.t[1:] + nodes.t[:-1])
     rate = mean_rate(drive.log.imu, middle) - reference_bias(drive.log, drive.segmentation, middle)
     nodes = nodes.denser(motion_density(drive.noise, rate) - motion_density(nodes.noise, rate))
     nodes = replace(nodes, noise=drive.noise)
-    found = run(nodes, begun.start, drive.settings.smoothing.gate_probability)
-    return replace(begun, drive=drive, nodes=nodes, run=found)
+    return replace(begun, drive=drive, nodes=nodes, run=run(nodes, begun.start, gate))
 
 
-def _ungated(begun: Begun) -> FilterRun:
-    """Return a run that has refused no gravity."""
-    found = begun.run.innovations
-    refused = bool(np.any((found.role == "gravity") & ~found.used))
-    return run(begun.nodes, begun.start, 1.0) if refused else begun.run
+def _turning(nodes: Nodes, found: FilterRun, least: float) -> Nodes:
+    r"""Return the nodes with what a scale error makes of a heading that no sensor sees: it grows with the turn
+    :math:`\psi` since the start, for which no white noise stands; of an error of at ``least`` so much
+
+    .. math:: \sigma^2(t)=s^2\max_{t'\le t}\psi^2(t')
+    """
+    up = rotation.matrix(found.q[1:])[:, 2]
+    turned = np.einsum("ki,ki->k", up, rotation.log_quaternion(nodes.increments.dq))
+    variance = (max(nodes.noise.gyro_scale, least) * np.maximum.accumulate(np.abs(np.cumsum(turned)))) ** 2
+    return nodes.losing(np.diff(variance, prepend=0.0)[:, None, None] * (up[:, :, None] * up[:, None, :]))
 
 
 def _refused(found: FilterRun) -> float:
@@ -115,12 +147,10 @@ def _refused(found: FilterRun) -> float:
     return float(np.mean(~found.innovations.used[others])) if others.any() else 0.0
 
 
-def _less_left(before: FilterRun, after: FilterRun, sigmas: float = scale.SURE) -> bool:
-    """Whether a scale error of so many ``sigmas`` that is taken out leaves less to explain, of all sensors, and no more
-    refused.
-    """
+def _less_left(before: FilterRun, after: FilterRun, sigmas: float) -> bool:
+    """Whether a scale error of so many ``sigmas`` that is taken out leaves less to explain, of all sensors."""
     left = [float(np.minimum(run.innovations.nis, FAR).sum()) for run in (before, after)]
-    return left[1] < left[0] - 0.5 * sigmas**2 and _refused(after) <= _refused(before)
+    return left[1] < left[0] - 0.5 * sigmas**2
 
 
 def _spared(causes: Sequence[Warn]) -> bool:

@@ -15,6 +15,7 @@ from ..nodes import Nodes
 from ..records import FilterRun, Warn
 from . import Drive
 
+VAGUE = 0.002  # of which wheels are asked too: less makes no error that an assumed scale does not cover
 KNOWN, LARGEST = 0.02, 0.1  # a scale error is learnt to so much or not at all; a larger one is another fault
 ASKED = frozenset({"gravity", "zero_rate", "sun"})
 ALIKE = frozenset({"compass"})  # an error of it that goes with the heading looks like one of the scale
@@ -53,22 +54,25 @@ def learn(nodes: Nodes, run: FilterRun, roles: frozenset[str] = ASKED) -> tuple[
 
 
 def mended(drive: Drive, error: float, sigma: float) -> tuple[Drive | None, tuple[Warn, ...]]:
-    """Return the drive with a scale error of the gyro taken out where it is sure, and told; where it is likely, with
-    noise that covers it, unless its sigma is stated; none where neither.
+    """Return the drive with a scale error of the gyro taken out where it is sure and more than is assumed, told where
+    it is much more; where it is likely, with noise that covers it, unless its sigma is stated; none where neither.
     """
-    known = max(float(np.hypot(sigma, drive.noise.gyro_scale)), 1e-12)
-    if sigma > KNOWN or abs(error) > LARGEST or abs(error) < LIKELY * known:
+    assumed = drive.noise.gyro_scale
+    if sigma > KNOWN or abs(error) > LARGEST:
         return None, ()
     sources = {**drive.noise.sources, "gyro_scale_sigma": SHOWN}
-    if abs(error) < SURE * known:
-        if drive.settings.imu.gyro_scale_sigma is not None:
+    if abs(error) < max(SURE * sigma, assumed):
+        if drive.settings.imu.gyro_scale_sigma is not None or abs(error) < LIKELY * float(np.hypot(sigma, assumed)):
             return None, ()  # what is stated wins over what is only likely
         return replace(drive, noise=replace(drive.noise, gyro_scale=abs(error), sources=sources)), ()
-    noise = replace(drive.noise, gyro_scale=max(sigma, drive.noise.gyro_scale), sources=sources)
+    better = replace(without(drive, error), noise=replace(drive.noise, gyro_scale=max(sigma, assumed), sources=sources))
+    if abs(error) < LIKELY * assumed:
+        return better, ()  # no more than such a gyro may have
     size = f"{100.0 * abs(error):.1f} % (sigma {100.0 * sigma:.1f} %) too {'little' if error > 0.0 else 'much'}"
     message = f"the gyro reads {size} by the other sensors"
-    told = Warn("gyro-scale", f"{message}: corrected", "calibrate its scale, or state [imu] gyro_scale_sigma")
-    return replace(without(drive, error), noise=noise), (told,)
+    return better, (
+        Warn("gyro-scale", f"{message}: corrected", "calibrate its scale, or state [imu] gyro_scale_sigma"),
+    )
 
 
 def without(drive: Drive, error: float) -> Drive:

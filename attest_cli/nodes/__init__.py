@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..maths import rotation
-from ..maths.propagation import Increments, Samples, Steps, preintegrate
+from ..maths.propagation import Increments, Samples, Steps, preintegrate, run_steps
 from ..records import Array, Bools, Imu, Ints, Log, Segmentation
 from ..sensors import Measurement
 from ..sensors.zero_rate import ZeroRate
@@ -40,7 +40,8 @@ class Nodes:
 
     ``t`` (n,) s, ``moving`` (n,) False in the used part of a stop; per interval k -> k + 1: ``frozen``, ``gap`` (n -
     1,), ``increments``, the gyro ``samples`` they are made of; ``measurements[i]`` those of node ``measured[i]``,
-    ascending; ``noise``.
+    ascending; ``noise``; ``lost`` (n - 1, 3, 3) rad^2 in body axes of the later node: what is lost of the attitude
+    beyond that noise.
     """
 
     t: Array
@@ -53,18 +54,35 @@ class Nodes:
     measurements: tuple[tuple[Measurement, ...], ...]
     density: Array
     noise: Noise
+    lost: Array | None = None
 
     @property
     def steps(self) -> Steps:
         """The IMU on the merged grid of samples and nodes: a copy at full rate."""
         return _steps(self.samples)
 
+    def on_grid(self, q: Array, bias: Array) -> tuple[Array, Array]:
+        """Return the grid of samples and nodes (g,) and the attitude on it (g, 4), run on from ``q`` (n, 4) and
+        ``bias`` (n, 3) of every node.
+        """
+        middle = np.where((self.frozen | self.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
+        steps = self.steps
+        grid = self.t[0] + np.concatenate([[0.0], np.cumsum(steps.dt)])
+        return grid, np.concatenate([q[:1], run_steps(steps, q[:-1], middle)])
+
     def rebuild(self, bias: Array) -> Nodes:
         """Return the nodes preintegrated again at ``bias`` (n, 3), rad/s: exact where the estimate moved far."""
         increments = _increments(
             self.samples, 0.5 * (bias[1:] + bias[:-1]), self.frozen, self.gap, self.density, self.noise
         )
-        return replace(self, increments=increments)
+        again = replace(self, increments=increments, lost=None)
+        return again if self.lost is None else again.losing(self.lost)
+
+    def losing(self, lost: Array) -> Nodes:
+        """Return the nodes with ``lost`` (n - 1, 3, 3) rad^2 added to the attitude's noise."""
+        Q = self.increments.Q.copy()
+        Q[:, :3, :3] += lost
+        return replace(self, increments=replace(self.increments, Q=Q), lost=lost)
 
     def raised(self, factor: float) -> Nodes:
         """Return the nodes with the gyro's variance in motion raised by ``factor``."""

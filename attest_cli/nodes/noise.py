@@ -134,10 +134,7 @@ def find_noise(log: Log, segmentation: Segmentation, settings: Settings) -> Nois
         centre = np.array([0.5 * (t[lo] + t[hi - 1]) for lo, hi in ranges])
         span = np.array([(hi - lo) * d for (lo, hi), d in zip(ranges, dt, strict=True)])
         walk = bias_walk(means, centre, span, gyro**2)
-    none = 0.0 if wanted.gyro_noise_density is not None else None
-    scale = pick("gyro_scale_sigma", wanted.gyro_scale_sigma, none, ASSUMED_SCALE)
-    if wanted.gyro_scale_sigma is None and none is not None:
-        sources["gyro_scale_sigma"] = "none, as the density is stated"
+    scale = pick("gyro_scale_sigma", wanted.gyro_scale_sigma, None, ASSUMED_SCALE)
     return Noise(
         gyro, pick("gyro_random_walk", wanted.gyro_random_walk, walk, ASSUMED_GYRO_WALK), accel, sources, scale
     )

@@ -337,6 +337,7 @@ def _lasting_check(role: str, found: Innovations, dof: int) -> list[dict[str, An
 
 
 def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Say that a position is not usable; a warning where the log has what should hold it."""
     if run.position is None or not run.segmentation.motions or "position_sigma_max_m" not in s or s["position_usable"]:
         return None
     reach = f"its sigma reaches {s['position_sigma_max_m']:.0f} m"
@@ -344,7 +345,7 @@ def _position_check(run: Run, s: Mapping[str, Any]) -> dict[str, Any] | None:
         return _check("position", False, "Position is not usable", f"{reach}, more than 10 % of the distance")
     if REFUSED & {warn.code for warn in run.warnings}:
         return _check("position", False, "Position is not usable: its odometry was refused", f"{reach}; see above why")
-    return _check("position", False, "Position is not usable: no sensor aids it", f"{reach}; odometry would hold it")
+    return _check("position", True, "Position is not usable: no sensor aids it", f"{reach}; odometry would hold it")
 
 
 def _advice_check(run: Run) -> dict[str, Any] | None:

@@ -102,7 +102,7 @@ class Imu(Section):
         None, description="noise of the specific force; none: from the log's stops"
     )
     gyro_scale_sigma: Ratio | None = Field(
-        None, description="scale and misalignment of the gyro, 1 sigma; none: 0 with a stated density, else 0.003"
+        None, description="scale and misalignment of the gyro, 1 sigma; none: 0.003, a factory-calibrated MEMS gyro"
     )
     accel_scale_sigma: Ratio = Field(0.0, description="scale of the accelerometer axes, 1 sigma; 0: not a state")
     accel_random_walk: AccelWalk = Field(1e-4, description="walk of the accelerometer bias; a consumer MEMS sensor")

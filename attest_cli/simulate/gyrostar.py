@@ -158,6 +158,7 @@ def _settings() -> dict[str, dict[str, Any]]:
         "imu": {
             "mounting": [1.0, 0.0, 0.0, 0.0],
             "gyro_noise_density": GYRO_NOISE_RAD_S * root,
+            "gyro_scale_sigma": 0.0,  # the simulated gyro has none
             "accel_noise_density": ACCEL_NOISE_M_S2 * root,
             "gyro_bias_sigma": abs(C2_RAD_S),
             "accel_bias_sigma": 1e-6,  # it has none, but a setting must be positive

@@ -222,6 +222,7 @@ def rover_settings(options: RoverOptions) -> dict[str, dict[str, Any]]:
         "imu": {
             "mounting": [1.0, 0.0, 0.0, 0.0],
             "gyro_noise_density": GYRO_NOISE,
+            "gyro_scale_sigma": 0.0,  # the simulated gyro has none
             "gyro_random_walk": GYRO_WALK,
             "accel_noise_density": ACCEL_NOISE,
             "accel_bias_sigma": bias_sigmas(options)[1] or 1e-6,  # S1 has none, but a setting must be positive

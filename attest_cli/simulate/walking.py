@@ -215,6 +215,7 @@ def _settings(options: WalkingOptions) -> dict[str, dict[str, Any]]:
         "imu": {
             "mounting": [1.0, 0.0, 0.0, 0.0],
             "gyro_noise_density": GYRO_NOISE,
+            "gyro_scale_sigma": 0.0,  # the simulated gyro has none
             "gyro_random_walk": GYRO_WALK,
             "accel_noise_density": ACCEL_NOISE_M_S2 * math.sqrt(PERIOD_NS * 1e-9),
             "gyro_bias_sigma": math.radians(max(options.bias_deg_s, 0.01)),

@@ -106,7 +106,7 @@ STAMPS: dict[str, Fault] = {
     "every fifth row lost, hand": Fault("hand", ("imu-rows-missing",), rows(lambda d: np.arange(len(d.t)) % 5 != 2)),
     "30 % of the rows lost": Fault(
         "bare", (), rows(lambda d: np.random.default_rng(1).random(len(d.t)) > 0.3),
-        base=(*NO_HEADING, "imu-rows-missing", "position", "stop-advice"), needless=True),
+        base=(*NO_HEADING, "imu-rows-missing", "stop-advice"), needless=True),
     "negative stamps": Fault("sun", (), stamps(lambda _, ns: ns - 2 * ns[0])),
     "zero stamps in some rows": Fault(
         "bare", ("steps back", "zero"), stamps(lambda t, ns: np.where((t > 30) & (t < 31), 0, ns))),
@@ -208,6 +208,11 @@ UNITS: dict[str, Fault] = {
     "gyro scale 2 %": Fault("sun", (), scaled(1.02, *GYRO)),
     "gyro scale -2 %, compass": Fault("compass", (), scaled(0.98, *GYRO)),
     "gyro scale 3 %, no heading": Fault("bare", (), scaled(1.03, *GYRO)),
+    "gyro scale 1 %, no heading": Fault("bare", (), scaled(1.01, *GYRO)),
+    "gyro scale -1 %, odometry": Fault("odometry", (), scaled(0.99, *GYRO)),
+    "gyro scale 1 %, magnetometer": Fault("magnetometer", (), scaled(1.01, *GYRO)),
+    "gyro scale -1 %, gps": Fault("gps", (), scaled(0.99, *GYRO)),
+    "gyro scale 1 %, walk": Fault("walk", (), scaled(1.01, *GYRO)),
     "gyro z scale 5 %, hand": Fault("hand", ("gyro-scale",),
                                     scaled(1.05, *GYRO)),
     "accelerometer x in g": Fault("bare", ("accel-scale",), scaled(1 / G, "accel_x")),
@@ -389,10 +394,10 @@ CLEAN: dict[str, Fault] = {
         "sun": (), "sun always": (), "compass": (), "magnetometer": (), "orientation": (),
         "gps": ("north-not-shown", "no-heading"),
         "sun and compass": (), "odometry": NO_HEADING, "bare": NO_HEADING,
-        "level": (*NO_HEADING, "position"), "walk": NO_HEADING, "hand": ("position",),
+        "level": NO_HEADING, "walk": NO_HEADING, "hand": (),
     }.items()
 }  # fmt: skip
-CLEAN["clean bare, noise not stated"] = Fault("bare", (), blind, base=(*NO_HEADING, "position"), needless=True)
+CLEAN["clean bare, noise not stated"] = Fault("bare", (), blind, base=NO_HEADING, needless=True)
 
 FAULTS: dict[str, Fault] = {
     **STAMPS, **LATE, **VALUES, **UNITS, **AXES, **SUNS, **ORIENTATIONS, **PLACES, **SHAPES, **TEXTS, **CLEAN

@@ -113,7 +113,8 @@ def clean(kind: str, seed: int) -> Drive:
         tilt = rotation.exp_quaternion(rng.normal(0.0, np.radians(1.0), (len(stamps), 3)))
         q = rotation.multiply(quaternions(made.truth), tilt)
         columns |= {f"q_{c}": np.where(np.arange(len(q)) % 10 == 0, q[:, k], np.nan) for k, c in enumerate("wxyz")}
-    config = _toml(made.settings)
+    stated = {name: value for name, value in made.settings.get("imu", {}).items() if name != "gyro_scale_sigma"}
+    config = _toml({**made.settings, **({"imu": stated} if stated else {})})  # nobody states a perfect scale
     return Drive(columns, dict(made.truth), config + ('[map]\norientation = "orientation"\n' * (kind == "orientation")))
 
 

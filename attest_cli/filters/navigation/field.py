@@ -14,7 +14,7 @@ from ...nodes.observations import at_stop
 from ...records import Array
 from .. import Drive
 from .aids import Magnetometer
-from .model import Trajectory, on_steps
+from .model import Trajectory
 from .states import Layout, State
 
 FIELD_S = 5.0  # a disturbed field stays so
@@ -40,7 +40,7 @@ def field_at_nodes(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> Magneto
     known = np.isfinite(fixes.values).all(axis=1) & (fixes.t >= imu.t[0]) & (fixes.t <= imu.t[-1])
     t, steps = fixes.t[known], nodes.steps
     middle = np.where((nodes.frozen | nodes.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
-    grid, q_grid = on_steps(nodes, q, bias)
+    grid, q_grid = nodes.on_grid(q, bias)
     i = np.clip(np.searchsorted(grid, t, side="right") - 1, 0, len(grid) - 2)
     owner = np.repeat(np.arange(len(middle)), steps.count)[i]
     turn = rotation.exp_quaternion((steps.rate0[i] - middle[owner]) * (t - grid[i])[:, None])

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...maths import rotation, strapdown
-from ...maths.propagation import Steps, run_steps
+from ...maths.propagation import Steps
 from ...nodes import Nodes
 from ...records import Array, Bools, Imu
 from . import colours
@@ -187,10 +187,3 @@ def inertial_of(
         walks[1],
         gravity,
     )
-
-
-def on_steps(nodes: Nodes, q: Array, bias: Array) -> tuple[Array, Array]:
-    """Return the grid of samples and nodes (g,) and the attitude on it (g, 4), run on from every node."""
-    middle = np.where((nodes.frozen | nodes.gap)[:, None], 0.0, 0.5 * (bias[1:] + bias[:-1]))
-    grid = nodes.t[0] + np.concatenate([[0.0], np.cumsum(nodes.steps.dt)])
-    return grid, np.concatenate([q[:1], run_steps(nodes.steps, q[:-1], middle)])

@@ -7,17 +7,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...maths import kalman, rotation
+from ...maths import rotation
 from ...nodes import Nodes
-from ...records import Array, FilterRun
+from ...records import Array
 from ...settings import Settings
-from ...wheels import Judged, judge
+from ...wheels import Judged
 from .. import Drive, Forward, indirect
+from ..wheeled import believed, smoothed
 from . import colours, solve
 from .aids import Place, Wheels
 from .fixes import epochs_of
 from .identify import identify, scaled_inertial, widened
-from .model import Inertial, Trajectory, on_steps
+from .model import Inertial, Trajectory
 from .problem import Problem, assemble, node_spacing
 from .states import Layout
 from .streams import clock_of, own_nodes
@@ -76,7 +77,7 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
     begun = indirect.forward(late, _epochs(late))
     nodes = begun.nodes
     assert nodes is not None  # the indirect filter runs over nodes
-    q, bias = _smoothed(begun.run)
+    q, bias = smoothed(begun.run)
     learnt = learnt if learnt.odometry is not None else replace(learnt, odometry=believed(drive, nodes, q, bias))
     problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms, learnt.odometry)
     if before is not None:
@@ -84,16 +85,6 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
     problem, factors = _with_noise(drive, problem, learnt.factors, begin=before is None)
     found = _solved(drive, problem)
     return Navigated(begun, nodes, problem, found, replace(learnt, factors=factors))
-
-
-def believed(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> Judged | None:
-    """Return which odometry is believed beside the attitude of the indirect filter."""
-    odometry, log = drive.log.fixes.get("odometry"), drive.log
-    if odometry is None:
-        return None
-    grid, on_grid = on_steps(nodes, q, bias)
-    at_samples = on_grid[np.searchsorted(grid, log.imu.t - 1e-9).clip(0, len(grid) - 1)]
-    return judge(log, at_samples, drive.segmentation, odometry, drive.world.gravity, drive.settings)
 
 
 def _spaced(drive: Drive) -> Settings:
@@ -220,10 +211,4 @@ def _hidden_arms(problem: Problem, found: solve.Solution) -> dict[str, Array]:
 
 def smoothed_begin(done: Navigated) -> tuple[Array, Array]:
     """Return the attitude (n, 4) and gyro bias (n, 3) that the drive began with: no fix is in them."""
-    return _smoothed(done.begun.run)
-
-
-def _smoothed(run: FilterRun) -> tuple[Array, Array]:
-    """Return the smoothed attitude (n, 4) and gyro bias (n, 3) of the indirect filter."""
-    d = kalman.rts(run.chain).d
-    return rotation.normalise(rotation.multiply(run.q, rotation.exp_quaternion(d[:, :3]))), run.bias + d[:, 3:]
+    return smoothed(done.begun.run)

@@ -10,6 +10,7 @@ from support.drives import Job, simulated
 
 from attest_cli.filters import Drive, indirect
 from attest_cli.filters.scale import doubted, learn, mended
+from attest_cli.maths import rotation
 from attest_cli.nodes import build_nodes
 from attest_cli.nodes.observations import observe
 from attest_cli.simulate import RoverOptions
@@ -25,6 +26,13 @@ def job() -> Job:
 def scaled(job: Job, factor: float) -> Drive:
     log = replace(job.log, imu=replace(job.log.imu, gyro_b=factor * job.log.imu.gyro_b))
     return Drive(log, job.segmentation, job.world, job.noise, job.settings)
+
+
+def unstated(drive: Drive, assumed: float) -> Drive:
+    """The drive of a gyro of whose scale nothing is stated."""
+    imu = drive.settings.imu.model_copy(update={"gyro_scale_sigma": None})
+    noise = replace(drive.noise, gyro_scale=assumed)
+    return replace(drive, noise=noise, settings=drive.settings.model_copy(update={"imu": imu}))
 
 
 def found(drive: Drive, job: Job) -> tuple[float, float]:
@@ -64,23 +72,39 @@ def test_what_is_sure_is_taken_out_and_told(job: Job) -> None:
     assert abs(again) < sigma
 
 
-def test_what_is_likely_counts_as_noise_and_what_is_neither_as_nothing(job: Job) -> None:
-    drive = scaled(job, 1.0)
+def test_what_is_likely_counts_as_noise_unless_its_sigma_is_stated(job: Job) -> None:
+    stated = scaled(job, 1.0)
+    drive = unstated(stated, 0.0)
     better, told = mended(drive, 0.006, 0.002)
     assert better is not None
     assert (better.noise.gyro_scale, told) == (0.006, ())
-    assert mended(drive, 0.003, 0.002) == (None, ())
-    assert mended(drive, 0.3, 0.002) == (None, ())
-    assert mended(drive, 0.1, 0.03) == (None, ())
+    assert mended(stated, 0.006, 0.002) == (None, ())
+    for error, sigma in ((0.003, 0.002), (0.3, 0.002), (0.1, 0.03)):  # neither
+        assert mended(drive, error, sigma) == (None, ())
+
+
+@pytest.mark.parametrize(("error", "out", "codes"), [
+    (0.002, False, []), (0.005, True, []), (-0.005, True, []), (0.01, True, ["gyro-scale"]),
+])  # fmt: skip
+def test_what_a_gyro_may_have_is_taken_out_in_silence(job: Job, error: float, out: bool, codes: list[str]) -> None:
+    drive = unstated(scaled(job, 1.0), 0.003)
+    better, told = mended(drive, error, 5e-4)
+    assert (better is not None) == out
+    if better is not None:
+        assert better.noise.gyro_scale == 0.003
+        assert not np.array_equal(better.log.imu.gyro_b, drive.log.imu.gyro_b)
+    assert [w.code for w in told] == codes
 
 
 def test_noise_that_is_added_is_that_of_nodes_made_with_it(job: Job) -> None:
     begun = indirect._begin(scaled(job, 1.0), None)
     drive = replace(begun.drive, noise=replace(job.noise, gyro_scale=0.006))
-    added, made = indirect._noisier(begun, drive), indirect._begin(drive, None)
+    added, made = indirect._with_noise(begun, drive, 0.9999), indirect._begin(drive, None)
     assert made.nodes.motion_variance() > 1.1 * begun.nodes.motion_variance()
     np.testing.assert_allclose(added.run.chain.P, made.run.chain.P, rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(added.run.q, made.run.q, atol=1e-7)
+    exact = indirect._exact(made)
+    np.testing.assert_allclose(exact.run.chain.P, begun.run.chain.P, rtol=1e-6, atol=1e-15)
 
 
 def test_a_sound_drive_runs_once_and_as_before(job: Job) -> None:
@@ -116,12 +140,12 @@ def test_a_scale_that_only_the_compass_shows_counts_as_noise(factor: float, off_
     values = compass.values + np.radians(off_deg) * (compass.t < stop.end)[:, None]
     imu = replace(made.log.imu, gyro_b=factor * made.log.imu.gyro_b)
     log = replace(made.log, imu=imu, fixes={"compass": replace(compass, values=values)})
-    found = indirect.forward(Drive(log, made.segmentation, made.world, made.noise, made.settings))
+    found = indirect.forward(unstated(Drive(log, made.segmentation, made.world, made.noise, made.settings), 0.0))
     assert (found.noise.gyro_scale > 0.015) == shown
 
 
 def test_a_doubt_of_the_compass_needs_to_be_sure_to_be_told(job: Job) -> None:
-    drive = scaled(job, 1.0)
+    drive = unstated(scaled(job, 1.0), 0.0)
     none = (0.0, np.inf)
     assert doubted(drive, none, (0.004, 0.002)) == (None, ())
     assert doubted(drive, (0.0, 0.002), (0.01, 0.0019)) == (None, ())  # gravity contradicts it
@@ -129,3 +153,32 @@ def test_a_doubt_of_the_compass_needs_to_be_sure_to_be_told(job: Job) -> None:
         better, warnings = doubted(drive, none, (error, 0.002))
         assert better is not None
         assert (better.noise.gyro_scale, better.log, len(warnings)) == (error, drive.log, told)
+
+
+@pytest.mark.parametrize(("sun", "scale"), [(False, 0.003), (False, 0.0), (True, 0.003)])
+def test_a_heading_that_nothing_sees_is_as_unsure_as_a_scale_error_of_the_turn_since_the_start(
+    sun: bool, scale: float
+) -> None:
+    made = simulated(replace(OPTIONS, seed=6, sun=sun))
+    drive = replace(unstated(scaled(made, 1.0), 0.0), noise=replace(made.noise, gyro_scale=scale))
+    with_turns, without_turns = indirect.forward(drive), indirect._begin(drive, None)
+    R = rotation.matrix(with_turns.run.q)
+    heading = [np.einsum("ki,kij,kj->k", R[:, 2], run.chain.P[:, :3, :3], R[:, 2])
+               for run in (with_turns.run, without_turns.run)]  # fmt: skip
+    assert with_turns.nodes is not None
+    vertical = np.einsum("ki,ki->k", R[1:, 2], rotation.log_quaternion(with_turns.nodes.increments.dq))
+    turned = np.maximum.accumulate(np.abs(np.cumsum(vertical)))
+    expected = (
+        np.zeros(len(R))
+        if sun
+        else (max(scale, indirect.UNSEEN_SCALE) * (scale > 0.0) * np.concatenate([[0.0], turned])) ** 2
+    )
+    if sun:
+        np.testing.assert_allclose(heading[0], heading[1], rtol=1e-6)
+    else:
+        np.testing.assert_allclose(heading[0] - heading[1], expected, rtol=0.02, atol=2e-8)
+    tilt = [np.trace(run.chain.P[:, :3, :3], axis1=1, axis2=2) - h
+            for run, h in zip((with_turns.run, without_turns.run), heading, strict=True)]  # fmt: skip
+    np.testing.assert_allclose(tilt[0], tilt[1], rtol=0.02)
+    again = with_turns.nodes.rebuild(with_turns.run.bias).increments.Q
+    np.testing.assert_allclose(again, with_turns.nodes.increments.Q, rtol=0.05, atol=1e-15)

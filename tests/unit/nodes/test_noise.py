@@ -11,6 +11,7 @@ from attest_cli.nodes.noise import (
     ASSUMED_ACCEL_DENSITY,
     ASSUMED_GYRO_DENSITY,
     ASSUMED_GYRO_WALK,
+    ASSUMED_SCALE,
     Noise,
     bias_walk,
     density,
@@ -65,6 +66,13 @@ def test_noise_of_a_drive_is_the_simulators() -> None:
     assert work.noise.sources["gyro_noise_density"] == "log's stops"
     assert work.noise.n_r == work.noise.gyro_density**2
     assert work.noise.n_w == work.noise.gyro_walk**2
+
+
+@pytest.mark.parametrize(("stated", "scale", "source"), [(None, ASSUMED_SCALE, "assumed"), (0.0, 0.0, "settings")])
+def test_a_stated_density_is_no_word_on_the_scale(stated: float | None, scale: float, source: str) -> None:
+    work = simulated(RoverOptions(seed=31, motions=1, motion_s=(20.0, 30.0)), imu={"gyro_scale_sigma": stated})
+    assert work.noise.sources["gyro_noise_density"] == "settings"
+    assert (work.noise.gyro_scale, work.noise.sources["gyro_scale_sigma"]) == (scale, source)
 
 
 def test_settings_come_first_and_assumptions_last() -> None:
