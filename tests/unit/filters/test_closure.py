@@ -136,7 +136,7 @@ def test_a_rest_that_contradicts_the_bias_is_held_against_gravity(job: Job, move
 
 def test_what_is_explained_to_the_last_is_no_chance_however_large_the_noise_may_be() -> None:
     rng = np.random.default_rng(1)
-    off, left = (np.concatenate([[size], np.zeros(8)]) for size in (20.0**0.5, 0.01**0.5))
+    off, left = (np.concatenate([[size], np.zeros(8)]) for size in (19.0**0.5, 0.01**0.5))
     assert _closes(left, off, 2)
     assert not _closes(0.1 * off, off, 2)
     assert not _closes(0.05 * off[:6], off[:6], 2)
