@@ -97,6 +97,7 @@ def imu_rows(files: str, parts: Sequence[Channel], settings: Settings, *, spent:
         stamps_ns, gyro, accel = stamps_ns[~absurd], gyro[~absurd], accel[~absurd]
         _enough(files, stamps_ns)
     warnings += stuck.told_numb(f"{files}: {parts[0].name}", COLUMNS["gyro"], seconds(stamps_ns, t0_ns), gyro)
+    warnings += stuck.told_unlike(f"{files}: {parts[0].name}", COLUMNS["gyro"], gyro)
     warnings += axes.doubts(f"channel {parts[0].name}", seconds(stamps_ns, t0_ns), gyro, accel)
     if len(parts) > 1:
         warnings += halves.doubts((parts[0].name, parts[1].name), seconds(stamps_ns, t0_ns), gyro, accel)

@@ -19,6 +19,7 @@ COARSE_RAD_S = 2e-3  # 16 bits over 2000 deg/s are half of it
 WINDOW, WINDOWS = 100, 1000  # rows; at most, all along the log
 CALM, SHAKES, SAME, FEWEST = 0.1, 3.0, 1.4, 10  # share of the windows; times the calm ones; as loud; windows that tell
 MOSTLY = 0.8  # of the windows before
+UNIT, NEARLY, ALIKE, COARSELY = 57.29578, 2.5, 4.0, 0.2  # deg/s; factors of noise that axes have; share without noise
 COARSE, QUANTA = 1e-3, 3.5  # of a usual step; a coarse sensor at rest holds its value until it changes by one
 
 
@@ -108,6 +109,33 @@ def told_numb(name: str, columns: Sequence[str], t: Array, gyro: Array) -> list[
         return []
     message = f"{name}: nothing but noise in {', '.join(found)}, while the other axes shake: a dead axis"
     return [Warn("imu-stuck", message, "no turn about it is known from then on: sigma does not hold", fatal=True)]
+
+
+def told_unlike(name: str, columns: Sequence[str], gyro: Array) -> list[Warn]:
+    """Say which axis of the gyro (n, 3) is in another unit than both others: its noise is a multiple of theirs, at the
+    quietest and in all windows, as no axis is of a gyro whose others are like each other.
+    """
+    count = min((len(gyro) - 1) // WINDOW, WINDOWS)
+    if count < FEWEST:
+        return []
+    first = np.linspace(0, len(gyro) - 1 - WINDOW, count).astype(np.int64)
+    steps = np.diff(gyro[first[:, None] + np.arange(WINDOW + 1)], axis=1)
+    if np.mean(steps == 0.0) > COARSELY:
+        return []  # its noise is not to be seen
+    size = steps.std(axis=1)
+    quiet = size <= np.quantile(size, CALM, axis=0)
+    calm = np.array([float(np.median(size[quiet[:, i], i])) for i in range(3)])
+    for axis, column in enumerate(columns):
+        others = np.delete(calm, axis)
+        times = float(calm[axis] / np.sqrt(np.prod(others))) if others.all() else 0.0
+        alike = others.max() < ALIKE * others.min()
+        all_along = np.median(size[:, axis] / np.sqrt(np.prod(np.delete(size, axis, axis=1), axis=1)))
+        if alike and any(UNIT / NEARLY < x < UNIT * NEARLY for x in (times, 1.0 / max(times, 1e-9))):
+            if (all_along > ALIKE) == (times > 1.0) and (all_along < 1.0 / ALIKE) == (times < 1.0):
+                fact = f"{name}: {column} is {times:.2g} times as noisy as the other axes of the gyro"
+                hint = "name the columns with their units (--columns, gyro_x_dps), or mend the driver"
+                return [Warn("unit-contradicted", f"{fact}: is it in another unit?", hint, fatal=True)]
+    return []
 
 
 def _stuck(t: Array, period: float, x: Array) -> Bools:
