@@ -193,12 +193,14 @@ def longest_drive(t: Array, forward: Pass, segmentation: Segmentation, noise: No
 
 
 def stop_advice(
-    t: Array, moving: Bools, passes: Mapping[str, Pass], segmentation: Segmentation, noise: Noise, threshold_deg: float
-) -> dict[str, Any]:
+    t: Array, moving: Bools, passes: Mapping[str, Pass], segmentation: Segmentation, noise: Noise, threshold_deg: float,
+    datum: Array | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Return where the rover should have stopped (the paper's flow chart): which axis, which motions, how long a
-    drive may be.
+    drive may be. What is one draw for all of the log, ``datum`` (n,) of the forward pass, rad^2, no stop mends.
     """
-    sigma = np.degrees(passes["forward"].sigma_n)
+    sigma = np.degrees(_without(passes["forward"].sigma_n, datum))
+    smoothed = np.degrees(_without(passes["smoothed"].sigma_n, None if datum is None else datum[-1:]))
     over = moving & (sigma.max(axis=1) > threshold_deg)
     heading = bool(np.any(over & (sigma[:, 2] >= sigma[:, :2].max(axis=1))))
     longest = longest_drive(t, passes["forward"], segmentation, noise, np.radians(threshold_deg))
@@ -218,8 +220,15 @@ def stop_advice(
         "lines": lines,
         "share_over": float(_share(t, over) / max(_share(t, moving), 1e-9)),
         "longest_s": longest,
-        "smoothed_below": bool(np.all(np.degrees(passes["smoothed"].sigma_n) <= threshold_deg)),
+        "smoothed_below": bool(np.all(smoothed <= threshold_deg)),
     }
+
+
+def _without(sigma_n: Array, datum: Array | None) -> Array:
+    """Return sigmas (n, 3) whose last, of heading, is without that of its datum."""
+    if datum is None:
+        return sigma_n
+    return np.column_stack([sigma_n[:, :2], np.sqrt(np.maximum(sigma_n[:, 2] ** 2 - datum, 0.0))])
 
 
 def _worth_a_stop(after: float, motion: Segment) -> bool:

@@ -127,7 +127,7 @@ def _assemble(
     t, passes = est.smoothed.t, est.passes
     relative = est.forward.heading == "relative"
     rows = assess.segment_table(log, segmentation, t, passes, place, est.noise, threshold, relative)
-    advice = assess.stop_advice(t, est.moving, passes, segmentation, est.noise, threshold)
+    advice = assess.stop_advice(t, est.moving, passes, segmentation, est.noise, threshold, est.forward.datum)
     as_it_is = np.array_equal(vehicle.q_bv, IDENTITY) and not vehicle.sigma.any()
     turned = passes if as_it_is else {name: p.turned(vehicle.q_bv, vehicle.sigma) for name, p in passes.items()}
     log = _without_signals(log)  # of the IMU nothing but its times is told

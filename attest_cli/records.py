@@ -329,7 +329,8 @@ class FilterRun:
     A chain of other states than ``[dtheta_b, dbias]`` comes with ``read``, which turns errors of its states (zero: the
     pass itself) into attitude and bias; ``absent`` names what such a filter does not estimate. ``increments`` are those
     it used, where it runs over preintegrated nodes. ``beforehand``: information (Y (s, s), y (n, s)) about states that
-    do not change, known at either end of the log.
+    do not change, known at either end of the log. ``datum`` (n,): variance of heading, rad^2, that is one draw for all
+    of the log.
     """
 
     t: Array
@@ -344,3 +345,4 @@ class FilterRun:
     read: Callable[[Errors], Smoothed] | None = None
     absent: tuple[str, ...] = ()
     beforehand: tuple[Array, Array] | None = None
+    datum: Array | None = None

@@ -189,3 +189,19 @@ def test_a_drive_as_long_as_advised_keeps_its_middle_below_the_threshold(work: J
 def test_a_stop_just_after_the_last_or_before_the_next_is_not_advised(after: float, worth: bool) -> None:
     motion = Segment(2, True, 10.0, 70.0, 0, 0, 10.0, 70.0)
     assert assess._worth_a_stop(after, motion) is worth
+
+
+def test_a_datum_that_all_of_the_log_shares_asks_for_no_stop(work: Job, run: FilterRun, smoothed: Smoothed) -> None:
+    datum = np.radians(4.0) ** 2
+    seen = passes(run, smoothed)
+    up = np.zeros((len(run.t), 6))
+    wide = {}
+    for name, found in seen.items():
+        up[:, :3] = np.sqrt(datum) * rotation.matrix(found.q)[:, 2]
+        wide[name] = Pass(found.q, found.bias, found.P + up[:, :, None] * up[:, None, :])
+    threshold = 1.1 * float(np.degrees(seen["smoothed"].sigma_n.max()))
+    rest = (work.segmentation, work.noise, threshold)
+    assert not assess.stop_advice(run.t, run.moving, wide, *rest)["smoothed_below"]
+    mended = assess.stop_advice(run.t, run.moving, wide, *rest, np.full(len(run.t), datum))
+    assert mended["smoothed_below"]
+    assert mended["share_over"] == assess.stop_advice(run.t, run.moving, seen, *rest)["share_over"]

@@ -12,11 +12,11 @@ from ...nodes import Nodes
 from ...records import FilterRun, Smoothed, Warn
 from ...settings import Settings
 from .. import Drive, Forward
-from . import axes, frame, solve
+from . import axes, frame, offsets, solve
 from .aids import Place
 from .north import counted
 from .problem import Problem
-from .rounds import Navigated, left_lags, navigate
+from .rounds import Navigated, known_offsets, left_lags, navigate
 from .shown import shown
 
 SCATTERED = 3.0  # times the sigma of fixes
@@ -36,13 +36,15 @@ def forward(drive: Drive) -> Forward:
     late = [_late(role, lag) for role, lag in sorted(done.learnt.lags.items()) if role not in left]
     late += [_too_late(role, lag) for role, lag in sorted(left.items())]
     doubts = frame.of_receiver(drive)
+    known = known_offsets(drive, done)
     doubts += [] if left or doubts else frame.contradicted(drive.log, done, drive.world.gravity)
+    doubts += [] if left or doubts else offsets.doubts(known, _shower(done))
     scattered = list(_scattered(drive, done))
     doubts += [] if left or doubts else _noisy(done, explained=bool(scattered))
     doubts += [*scattered, *_wandering(done)]
     told = (*wanders, *axes_told, *done.begun.warnings, *done.problem.warnings, *late, *doubts)
     nodes = _scaled(done.nodes, done.problem, done.found)
-    return Forward(_run(done), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
+    return Forward(_run(done, known), done.begun.noise, nodes, None, told, shown(done), done.learnt.odometry)
 
 
 def _wanders(done: Navigated) -> tuple[Warn, ...]:
@@ -128,7 +130,12 @@ def _noisy(done: Navigated, *, explained: bool) -> Iterator[Warn]:
         yield Warn("gyro-noise-in-motion", message, hint, fatal=found > WORST_GYRO and not explained)
 
 
-def _run(done: Navigated) -> FilterRun:
+def _shower(done: Navigated) -> str:
+    """Return the sensor whose way shows the heading."""
+    return next((aid.role for aid in done.problem.aids if isinstance(aid, Place)), "gps")
+
+
+def _run(done: Navigated, known: list[offsets.Offset]) -> FilterRun:
     """Return the last pass as a filter run that every smoother reads."""
     begun, found, nodes = done.begun.run, done.found, done.nodes
     bias = done.problem.layout.parts["gyro bias"]
@@ -137,12 +144,13 @@ def _run(done: Navigated) -> FilterRun:
     relative = solve.relative_heading(found, nodes.t, nodes.moving) if mean_known else None
 
     def read(errors: Errors) -> Smoothed:
+        errors = offsets.settled(at.x, errors, known)
         return counted(solve.read(found, nodes.t, bias, relative, errors), done.problem.north)
 
     return FilterRun(
         nodes.t, at.q, at.x[:, bias], found.found.chain, None, solve.innovations(found.found, found.rows), nodes.moving,
         done.problem.heading, begun.start_in_motion,
-        read,
+        read, beforehand=offsets.beforehand(at.x, known), datum=offsets.datum(found.found.chain.P, known),
     )  # fmt: skip
 
 

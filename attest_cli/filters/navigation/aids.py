@@ -109,7 +109,9 @@ class ZeroRate:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Measurements of attitude as the indirect filter takes them: sun, compass, orientation; one role each."""
+    """Measurements of attitude as the indirect filter takes them: sun, compass, orientation; one role each. Where its
+    offset is a state, a sensor sees the attitude turned about the vertical by that.
+    """
 
     role: str
     measurements: tuple[Measurement, ...]
@@ -119,12 +121,17 @@ class Seen:
         """Return the residuals of each, whitened."""
         node = np.array([m.node for m in self.measurements], dtype=np.int64)
         R = rotation.matrix(at.q[node])
+        up, offset = R[:, 2], layout.parts.get(f"{self.role} offset")
+        if offset is not None:
+            R = rotation.matrix(rotation.exp_quaternion(at.x[node][:, offset] * [0.0, 0.0, 1.0])) @ R
         d = self.measurements[0].sensor.dof
         r, H = np.zeros((len(node), d)), blank(layout, len(node), d)
         for k, m in enumerate(self.measurements):
             residual, slope = m.linearise(R[k], at.x[node[k], 9:12])
             white = np.linalg.inv(np.linalg.cholesky(m.noise))
             r[k], H[k, :, :3], H[k, :, 9:12] = white @ residual, white @ slope[:, :3], white @ slope[:, 3:]
+            if offset is not None:
+                H[k, :, offset.start] = H[k, :, :3] @ up[k]
         return Rows(node, np.array([m.t for m in self.measurements]), r, H, np.ones_like(r))
 
 
@@ -134,7 +141,8 @@ class Magnetometer:
 
     .. math:: R(m-h)=F+o\,[\text{moving}]+v
 
-    ``field_b`` (k, 3) means at the nodes; earth field ``F`` (horizontal, vertical) towards ``azimuth``; hard iron
+    ``field_b`` (k, 3) means at the nodes; earth field ``F`` (horizontal, vertical) towards ``azimuth``, or off it by an
+    offset that is a state; hard iron
     ``h``; the motion offset ``o`` leaves the datum of heading to the stops. ``sigma`` (k,). Tesla.
     """
 
@@ -151,15 +159,21 @@ class Magnetometer:
         """Return the residuals in navigation axes."""
         R, x = rotation.matrix(at.q[self.node]), at.x[self.node]
         h, F, o = (layout.parts[name] for name in ("hard iron", "earth field", "motion offset"))
-        towards = np.array([np.cos(self.azimuth), np.sin(self.azimuth), 0.0])
-        basis = np.stack([towards, [0.0, 0.0, 1.0]], axis=1)  # (3, 2)
+        offset, azimuth = layout.parts.get("magnetometer offset"), np.full(len(x), self.azimuth)
+        if offset is not None:
+            azimuth += x[:, offset.start]
+        basis = np.zeros((len(x), 3, 2))
+        basis[:, 0, 0], basis[:, 1, 0], basis[:, 2, 1] = np.cos(azimuth), np.sin(azimuth), 1.0
         field_n = np.einsum("kij,kj->ki", R, self.field_b - x[:, h])
-        r = field_n - x[:, F] @ basis.T - np.where(self.moving[:, None], x[:, o], 0.0)
+        earth_n = np.einsum("kij,kj->ki", basis, x[:, F])
+        r = field_n - earth_n - np.where(self.moving[:, None], x[:, o], 0.0)
         H = blank(layout, len(self.node), 3)
         across = np.stack([field_n[:, 1], -field_n[:, 0], np.zeros(len(r))], axis=1)
         H[:, :, :3] = across[:, :, None] * R[:, 2][:, None, :]
         H[:, :, h], H[:, :, F] = R, basis
         H[:, :, o] = self.moving[:, None, None] * np.eye(3)
+        if offset is not None:
+            H[:, 0, offset.start], H[:, 1, offset.start] = -earth_n[:, 1], earth_n[:, 0]
         return Rows(self.node, self.t, r, H, np.repeat(self.sigma[:, None], 3, axis=1))
 
 

@@ -21,6 +21,7 @@ from .field import field_at_nodes, field_states, start_field, tuned_field
 from .fixes import FAST_M_S, LAG_SIGMA_S, far_off, origin_of, place_of, place_states
 from .model import Inertial, Trajectory, inertial_of
 from .north import north_sigma
+from .offsets import offset_states
 from .start import heading_of_velocity, heading_of_wheels, heading_offset, mirrored
 from .states import Layout, State, layout
 from .streams import clock_of, height_of, velocity_of
@@ -71,12 +72,12 @@ class Problem:
 
 def assemble(
     drive: Drive, nodes: Nodes, q: Array, bias: Array, heading: str, arms: Mapping[str, Array],
-    odometry: Judged | None,
+    odometry: Judged | None, off: Mapping[str, float] | None = None,
 ) -> Problem:  # fmt: skip
     """Build the problem about the attitude ``q`` (n, 4) and gyro bias (n, 3) of the indirect filter.
 
     A heading that counts from the start is turned to where the fixes went. Lever arms that ``arms`` does not name are
-    states. ``odometry``: as far as it is believed.
+    states. ``odometry``: as far as it is believed; ``off``: how far heading sensors are found to be off, rad.
     """
     roles = [role for role in ("gps", "position") if role in drive.log.fixes]
     places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
@@ -101,6 +102,9 @@ def assemble(
         north = 0.0 if places or "gps_velocity" in drive.log.fixes else north  # which show it
         doubts += of_reference
     aids += _seen(nodes)
+    if places or "gps_velocity" in drive.log.fixes:
+        seen = {aid.role for aid in aids} | ({"magnetometer"} if field is not None else set())
+        states += offset_states(drive.settings, seen, off or {})
     for place in places:
         states += place_states(drive, place)
         aids.append(place)

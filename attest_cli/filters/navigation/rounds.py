@@ -19,6 +19,7 @@ from .aids import Place, Wheels
 from .fixes import epochs_of
 from .identify import identify, scaled_inertial, widened
 from .model import Inertial, Trajectory
+from .offsets import Offset, offsets, wider
 from .problem import Problem, assemble, node_spacing
 from .states import Layout
 from .streams import clock_of, own_nodes
@@ -34,13 +35,14 @@ SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to be
 @dataclass(frozen=True, slots=True)
 class Learnt:
     """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise, which
-    ``odometry`` is believed.
+    ``odometry`` is believed, how far heading sensors are ``off``, rad.
     """
 
     lags: Mapping[str, float] = field(default_factory=dict)
     arms: Mapping[str, Array] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
     odometry: Judged | None = None
+    off: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +65,18 @@ def navigate(drive: Drive) -> Navigated:
     for _ in range(ROUNDS - 1):
         lags = _lags(done.problem, done.found, done.learnt.lags)
         arms = {} if lags else _hidden_arms(done.problem, done.found)  # a lag hides them
-        if not lags and not arms:
+        off = wider(known_offsets(drive, done))
+        if not lags and not arms and not off:
             break
         learnt = done.learnt
         total = {role: learnt.lags.get(role, 0.0) + lags.get(role, 0.0) for role in {*learnt.lags, *lags}}
-        done = _round(drive, replace(learnt, lags=total, arms={**learnt.arms, **arms}), done)
+        done = _round(drive, replace(learnt, lags=total, arms={**learnt.arms, **arms}, off={**learnt.off, **off}), done)
     return done
+
+
+def known_offsets(drive: Drive, done: Navigated) -> list[Offset]:
+    """Return what the fixes show of the heading sensors."""
+    return list(offsets(drive.settings, done.problem.layout, done.problem.prior[1], done.found))
 
 
 def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
@@ -79,7 +87,7 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
     assert nodes is not None  # the indirect filter runs over nodes
     q, bias = smoothed(begun.run)
     learnt = learnt if learnt.odometry is not None else replace(learnt, odometry=believed(drive, nodes, q, bias))
-    problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms, learnt.odometry)
+    problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms, learnt.odometry, learnt.off)
     if before is not None:
         problem = replace(problem, at=_resumed(before, problem.layout, nodes.t))
     problem, factors = _with_noise(drive, problem, learnt.factors, begin=before is None)

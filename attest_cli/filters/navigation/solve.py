@@ -16,6 +16,7 @@ from .states import Layout
 SPARED = 0.05  # weight below which a measurement counts as refused
 DATUM = 1e-4  # rad: how well a mean heading is taken as known
 SETTLED, STILL_MOVES = 0.1, 0.3  # of a sigma, any state: when to stop; what the last pass may move
+ROUNDED = 1e-8  # of a filtered variance: what is left of it when all but that is known is rounded off
 SHRINKS, LEAST_SHARE = 0.5, 0.1  # a step back that is so much smaller is taken whole; least share of another
 
 
@@ -132,7 +133,8 @@ def solve(
         found = forward(P0, lin, rows, first)
         d = found.x + adjoint.mean(found)
         if sigma is None:
-            sigma = np.sqrt(np.einsum("kii->ki", adjoint.smooth(found).P) + 1e-300)
+            smoothed, filtered = (np.einsum("kii->ki", P) for P in (adjoint.smooth(found).P, found.chain.P))
+            sigma = np.sqrt(np.maximum(smoothed, ROUNDED * filtered) + 1e-300)
         step = d / sigma
         move = float(np.max(np.abs(step)))
         if passes >= most or move < SETTLED:

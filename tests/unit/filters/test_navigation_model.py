@@ -33,6 +33,7 @@ OPTIONS = RoverOptions(
     stop_s=(8.0, 10.0),
     odometry=True,
     gps=True,
+    compass=True,
     magnetometer=True,
     seed=5,
 )

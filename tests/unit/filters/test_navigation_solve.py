@@ -12,6 +12,7 @@ from attest_cli.filters.navigation import solve
 from attest_cli.filters.navigation.aids import Rows, blank
 from attest_cli.filters.navigation.model import Inertial, Trajectory
 from attest_cli.filters.navigation.states import CORE, Layout, State, layout
+from attest_cli.maths import kalman, sequential
 from attest_cli.maths.propagation import Steps
 
 Array = NDArray[np.float64]
@@ -65,3 +66,16 @@ def test_only_steps_that_go_back_and_hardly_shrink_are_shortened() -> None:
     assert solve._share(step, -1.0 * step, 1.0 / 3.0) == pytest.approx(1.0 / 6.0)
     assert solve._share(step, 0.5 * step, 0.25) == pytest.approx(0.5)
     assert solve._share(step, 0.0 * step, 0.25) == pytest.approx(0.25)
+
+
+def test_a_variance_rounded_off_below_zero_does_not_keep_it_from_settling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of the speed at the first node, known to 100 m/s beforehand and to millimetres by a tracker."""
+    smooth = solve.adjoint.smooth
+
+    def rounded(run: sequential.Pass) -> kalman.Errors:
+        errors = smooth(run)
+        errors.P[0, 3, 3] = -1e-9 * run.chain.P[0, 3, 3]
+        return errors
+
+    monkeypatch.setattr(solve.adjoint, "smooth", rounded)
+    assert solved(bend=0.0, begin=0.3)[0].settled
