@@ -23,6 +23,7 @@ from support.changes import (
     cut,
     dead,
     during,
+    field_turned,
     frozen,
     gravity_removed,
     hard_iron,
@@ -285,6 +286,16 @@ SUNS: dict[str, Fault] = {
     "compass counter-clockwise": Fault(
         "compass", ("rejected-compass",), scaled(-1.0, "compass_deg")),
     "compass magnetic, 15 deg": Fault("sun and compass", ("rejected-compass", "rejected-sun"), magnetic(15.0)),
+    "compass 8 deg off, GPS": Fault("compass and gps", (), magnetic(8.0)),
+    "compass 12 deg off, GPS": Fault("compass and gps", ("compass-offset",), magnetic(-12.0)),
+    "compass 8 deg off, vehicle": Fault("vehicle", ("compass-offset",), magnetic(8.0)),
+    "compass 20 deg off, vehicle": Fault("vehicle", ("compass-offset", "heading-contradicted"), magnetic(-20.0)),
+    "compass 8 deg off, GPS hardly shows it": Fault("compass and gps, no wheels", (), magnetic(-8.0)),
+    "compass 20 deg off, GPS hardly shows it": Fault(
+        "compass and gps, no wheels", ("compass-offset",), magnetic(20.0)),
+    "field of a place with 15 deg more declination": Fault("magnetometer and gps", (), field_turned(15.0)),
+    "field of a place with 30 deg more declination": Fault(
+        "magnetometer and gps", ("magnetometer-offset", "heading-contradicted"), field_turned(30.0)),
     "compass stuck": Fault("compass", ("stale-repeats",), during(-1, 1e9, ("compass_deg",), 77.0)),
     "compass from east": Fault("compass", ("rejected-compass",), lambda d: d.changed(
         compass_deg=np.mod(90.0 - d.columns["compass_deg"], 360.0))),
@@ -331,6 +342,9 @@ PLACES: dict[str, Fault] = {
     "GPS stale": Fault("gps", ("stale-repeats",), stale(6, *GPS)),
     "GPS blank": Fault("gps", ("gps-dropped", "channel-empty"), during(-1.0, 1e9, GPS, np.nan)),
     "GPS with three digits": Fault("gps", ("gps-coarse",), rounded(1e-3, "latitude", "longitude")),
+    "tracker leaps half a metre and stays there": Fault(
+        "tracker", ("position-jump",), added(0.5, "position_x", after=45.0)),
+    "GPS leaps 40 m and stays there": Fault("vehicle", ("gps-jump",), added(4e-4, "latitude", after=60.0)),
     "GPS sigma of 1 mm": Fault("gps", (), lambda d: d.changed(
         gps_sigma_m=0.001 * d.columns["gps_sigma_m"])),
     "odometry reversed": Fault("odometry", ("odometry-contradicts",), scaled(-1.0, *ODOMETRY)),
@@ -393,7 +407,8 @@ CLEAN: dict[str, Fault] = {
     for kind, base in {
         "sun": (), "sun always": (), "compass": (), "magnetometer": (), "orientation": (),
         "gps": ("north-not-shown", "no-heading"),
-        "sun and compass": (), "odometry": NO_HEADING, "bare": NO_HEADING,
+        "sun and compass": (), "compass and gps": (), "compass and gps, no wheels": (), "magnetometer and gps": (),
+        "vehicle": (), "tracker": (), "odometry": NO_HEADING, "bare": NO_HEADING,
         "level": NO_HEADING, "walk": NO_HEADING, "hand": (),
     }.items()
 }  # fmt: skip

@@ -17,8 +17,14 @@ if TESTS not in sys.path:
 from faults.catalogue import FAULTS  # noqa: E402
 from support.faults import GRADES_BAD, grade  # noqa: E402
 
-SLOW = {"gps", "hand", "level", "orientation"}  # kinds that the navigation filter or many measurements take
-SOME = {"clean gps", "clean level"}
+SLOW = {
+    "gps", "hand", "level", "orientation",
+    "compass and gps", "compass and gps, no wheels", "magnetometer and gps", "vehicle", "tracker",
+}  # fmt: skip # kinds that the navigation filter or many measurements take
+SOME = {
+    "clean gps", "clean level", "clean vehicle", "compass 8 deg off, vehicle",
+    "tracker leaps half a metre and stays there",
+}  # fmt: skip
 LIKE_OTHERS = """
     NaN covariances|hard iron 50 %|IMU at 10 Hz|IMU frozen 10 s|IMU frozen 10 s, no heading
     accelerometer axis stuck 5 s|accelerometer constant|accelerometer in mg|accelerometer reversed

@@ -319,6 +319,18 @@ def magnetic(declination: float) -> Change:
     return lambda d: d.changed(compass_deg=np.mod(d.columns["compass_deg"] - declination, 360.0))
 
 
+def field_turned(declination: float) -> Change:
+    """A reference of another place: the magnetic field of ``attest.toml`` turned to the east by so much, deg."""
+
+    def change(d: Drive) -> Drive:
+        line = next(line for line in d.config.splitlines() if line.startswith("magnetic_field_ut"))
+        f = np.array([float(x) for x in line.split("[")[1].rstrip("]").split(",")])
+        R = rotation.matrix(rotation.exp_quaternion(np.radians([[0.0, 0.0, -declination]])))[0]
+        return d.told(line, f"magnetic_field_ut = {(R @ f).tolist()}")
+
+    return change
+
+
 def sun_field(turn_deg: float) -> Change:
     """A reference direction that is wrong."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,9 @@ from attest_cli.simulate import (
     simulate_rover,
     simulate_walking,
 )
+from attest_cli.simulate import drive as drives
 from attest_cli.simulate import instruments as sensors
+from attest_cli.simulate import rover as rovers
 from attest_cli.simulate.drive import GRAVITY_M_S2, Kinematics, Timeline, Waves, attitude, windowed
 from attest_cli.simulate.simulation import recording, seconds, stamps_of, truth_columns
 from attest_cli.writers.logs import MESSAGES
@@ -38,6 +40,7 @@ Array = NDArray[np.float64]
 Write = Callable[[Drive, Path], Sequence[Path]]
 HONEST = 3.0  # RMS of error over sigma that a drive may have, per axis
 FAR, FAR_SHARE = 3.5, 0.05  # errors beyond so many sigma, in a share of the rows
+LARGER = 25.0  # times the rover's way and speed: a vehicle's
 GRADES_BAD = ("silent-wrong", "traceback", "leftover", "unnamed", "needless")
 
 
@@ -83,6 +86,36 @@ def hand(seed: int, duration_s: float = 60.0, rate_hz: float = 50.0) -> Simulati
     )  # fmt: skip
 
 
+def vehicle(seed: int, **with_sensors: Any) -> Simulation:
+    """The rover's route, larger and faster: 8 m/s over 900 m, as gently as a car."""
+
+    def larger(options: RoverOptions) -> drives.Drive:
+        made = rovers_drive(options)
+        route, terrain = made.route, made.route.terrain
+        hills = drives.Waves(terrain.amplitude * [5.0, 0.2], terrain.pulsation / LARGER, terrain.phase)
+        wide = replace(route, bend=route.bend / LARGER, pulsation=route.pulsation / LARGER, terrain=hills)
+        return replace(made, route=wide, speed=made.speed * LARGER)
+
+    rovers_drive = rovers.rover_drive
+    with patch.object(rovers, "rover_drive", larger), patch.object(drives, "RAMP_S", 6.0):
+        return rover(seed, 120.0, gps=True, **with_sensors)
+
+
+def tracked(seed: int, rate_hz: float = 10.0, sigma: float = 0.005) -> Simulation:
+    """A rover that a tracker follows; nobody says how well."""
+    made, rng = rover(seed), np.random.default_rng([seed, 79])
+    rows = slice(None, None, round(50.0 / rate_hz))
+    values = {
+        f"position_{a}": made.truth[f"position_{a}_m"][rows] + rng.normal(2.0, sigma, len(made.truth["t_s"][rows]))
+        for a in "xyz"
+    }
+    stamps = made.truth["timestamp_ns"][rows]
+    channel = Channel(
+        "/position", "geometry_msgs/msg/PointStamped", "position", stamps, values, dict.fromkeys(values, "m")
+    )
+    return replace(made, log=replace(made.log, channels=(*made.log.channels, channel)))
+
+
 KINDS: dict[str, Callable[[int], Simulation]] = {
     "sun": lambda seed: rover(seed, sun=True, odometry=True),
     "sun always": lambda seed: rover(seed, sun=True, sun_always=True),
@@ -96,6 +129,11 @@ KINDS: dict[str, Callable[[int], Simulation]] = {
     "walk": lambda seed: simulate_walking(WalkingOptions(seed=seed, case="B", duration_s=60.0)),
     "hand": hand,
     "orientation": rover,
+    "compass and gps": lambda seed: rover(seed, 120.0, compass=True, gps=True, odometry=True),
+    "compass and gps, no wheels": lambda seed: rover(seed, 120.0, compass=True, gps=True),
+    "magnetometer and gps": lambda seed: rover(seed, 120.0, magnetometer=True, gps=True),
+    "vehicle": lambda seed: vehicle(seed, compass=True),
+    "tracker": tracked,
 }
 """Kind of a drive -> its simulation."""
 

@@ -182,7 +182,7 @@ class Place:
     r"""Positions (k, 3) in navigation axes: :math:`z=p+Rl+c-v\,\tau+v`, NaN = not measured.
 
     ``l`` lever arm of the antenna, ``c`` its coloured error, :math:`\tau` how late its stamps are; each where it is a
-    state.
+    state. From the fixes numbered ``leaps`` on they are off by a constant more.
     """
 
     node: Ints
@@ -192,6 +192,7 @@ class Place:
     lever_b: Array
     role: str = "gps"
     robust: bool = True
+    leaps: tuple[int, ...] = ()
 
     def rows(self, layout: Layout, at: Trajectory) -> Rows:
         """Return measured minus predicted place."""
@@ -210,6 +211,10 @@ class Place:
             part = layout.parts[f"{self.role} drift"]
             predicted += x[:, part]
             H[:, :, part] = np.eye(3)
+        for k, first in enumerate(self.leaps):
+            begin = layout.parts[f"{self.role} jump"].start + 3 * k
+            predicted[first:] += x[first:, begin : begin + 3]
+            H[first:, :, begin : begin + 3] = np.eye(3)
         if f"{self.role} lag" in layout:
             part, v = layout.parts[f"{self.role} lag"], at.v[self.node]
             predicted -= v * x[:, part]

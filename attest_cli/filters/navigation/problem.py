@@ -15,7 +15,7 @@ from ...records import Array, Warn
 from ...wheels import Judged
 from .. import Drive
 from ..choice import LIVELY_RAD_S, liveliness
-from . import colours
+from . import colours, jumps
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .field import field_at_nodes, field_states, start_field, tuned_field
 from .fixes import FAST_M_S, LAG_SIGMA_S, far_off, origin_of, place_of, place_states
@@ -79,9 +79,7 @@ def assemble(
     A heading that counts from the start is turned to where the fixes went. Lever arms that ``arms`` does not name are
     states. ``odometry``: as far as it is believed; ``off``: how far heading sensors are found to be off, rad.
     """
-    roles = [role for role in ("gps", "position") if role in drive.log.fixes]
-    places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
-    doubts = [warn for role in roles for warn in far_off(drive, role)]
+    places, leaps, doubts = _places(drive, nodes, q, arms)
     wheels, told = wheels_of(drive, nodes, bias, arms.get("odometry", np.zeros(3)), odometry)
     doubts += [_mirrored(place.role) for place in places if mirrored(drive.log.imu, nodes.t, q, place, wheels)]
     if heading == "relative" and (places or "gps_velocity" in drive.log.fixes):
@@ -105,15 +103,15 @@ def assemble(
     if places or "gps_velocity" in drive.log.fixes:
         seen = {aid.role for aid in aids} | ({"magnetometer"} if field is not None else set())
         states += offset_states(drive.settings, seen, off or {})
-    for place in places:
-        states += place_states(drive, place)
+    for place, found in zip(places, leaps, strict=True):
+        states += place_states(drive, place) + jumps.jump_states(place, found)
         aids.append(place)
     more, further = _streams(drive, nodes, bias, arms)
     aids, states = aids + more, states + further
     if wheels is not None:
         states += wheel_states(drive, wheels)
         aids.append(wheels)
-    armed = [*roles, *(["odometry"] if wheels is not None else [])]
+    armed = [*(place.role for place in places), *(["odometry"] if wheels is not None else [])]
     states += [State(f"{role} lever arm", 3, ARM_SIGMA_M) for role in armed if role not in arms]
     form = layout(states)
     x = np.zeros((len(nodes.t), form.size))
@@ -128,6 +126,18 @@ def assemble(
     return Problem(
         form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive), north
     )  # fmt: skip
+
+
+def _places(
+    drive: Drive, nodes: Nodes, q: Array, arms: Mapping[str, Array]
+) -> tuple[list[Place], list[list[jumps.Jump]], list[Warn]]:
+    """Return the fixes of every sensor of them, without their leaps, and these; what the user should know of both."""
+    roles = [role for role in ("gps", "position") if role in drive.log.fixes]
+    places = [place_of(drive, nodes, role, arms.get(role, np.zeros(3))) for role in roles]
+    leaps = [jumps.jumps(drive.log.imu, nodes.t, q, place, drive.world.gravity) for place in places]
+    doubts = [warn for role in roles for warn in far_off(drive, role)]
+    doubts += [warn for place, found in zip(places, leaps, strict=True) for warn in jumps.doubts(place, found)]
+    return [jumps.mended(place, found) for place, found in zip(places, leaps, strict=True)], leaps, doubts
 
 
 def _headed(

@@ -14,7 +14,7 @@ UNITS = {
     "gyro bias": ("deg/s", DEG), "accelerometer bias": ("m/s^2", 1.0), "gyro scale": ("%", 100.0),
     "accelerometer scale": ("%", 100.0), "hard iron": ("uT", 1e6), "earth field": ("uT", 1e6),
     "odometry scale": ("%", 100.0), "odometry mounting": ("deg", DEG), "lever arm": ("m", 1.0), "lag": ("s", 1.0),
-    "datum": ("m", 1.0), **{f"{role} offset": ("deg", DEG) for role in ROLES},
+    "datum": ("m", 1.0), "jump": ("m", 1.0), **{f"{role} offset": ("deg", DEG) for role in ROLES},
 }  # fmt: skip
 
 
