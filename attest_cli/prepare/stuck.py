@@ -128,13 +128,13 @@ def told_unlike(name: str, columns: Sequence[str], gyro: Array) -> list[Warn]:
     for axis, column in enumerate(columns):
         others = np.delete(calm, axis)
         times = float(calm[axis] / np.sqrt(np.prod(others))) if others.all() else 0.0
-        alike = others.max() < ALIKE * others.min()
-        all_along = np.median(size[:, axis] / np.sqrt(np.prod(np.delete(size, axis, axis=1), axis=1)))
-        if alike and any(UNIT / NEARLY < x < UNIT * NEARLY for x in (times, 1.0 / max(times, 1e-9))):
-            if (all_along > ALIKE) == (times > 1.0) and (all_along < 1.0 / ALIKE) == (times < 1.0):
-                fact = f"{name}: {column} is {times:.2g} times as noisy as the other axes of the gyro"
-                hint = "name the columns with their units (--columns, gyro_x_dps), or mend the driver"
-                return [Warn("unit-contradicted", f"{fact}: is it in another unit?", hint, fatal=True)]
+        ratio = size[:, axis] / np.maximum(np.sqrt(np.prod(np.delete(size, axis, axis=1), axis=1)), 1e-12)
+        many, few = (UNIT / NEARLY < x < UNIT * NEARLY for x in (times, 1.0 / max(times, 1e-9)))
+        always = float(np.median(ratio)) > ALIKE if many else float(np.median(ratio)) < 1.0 / ALIKE
+        if others.max() < ALIKE * others.min() and (many or few) and always:
+            fact = f"{name}: {column} is {times:.2g} times as noisy as the other axes of the gyro"
+            hint = "name the columns with their units (--columns, gyro_x_dps), or mend the driver"
+            return [Warn("unit-contradicted", f"{fact}: is it in another unit?", hint, fatal=True)]
     return []
 
 
