@@ -14,6 +14,7 @@ from .model import Trajectory
 from .states import Layout
 
 CALM_S = 2.0
+LEAST_SIGMA = 1e-3  # m, m/s: what is found of fixes and wheels; less is all coloured, and covariances turn singular
 STUDENT = 4.0  # degrees of freedom of the weights: outliers do not bend the track
 
 
@@ -223,7 +224,7 @@ class Place:
 
     def scaled(self, factor: float) -> Place:
         """Return the aid with its sigma times ``factor``."""
-        return replace(self, sigma=self.sigma * factor)
+        return replace(self, sigma=scaled_sigma(self.sigma, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +332,12 @@ class Wheels:
 
     def scaled(self, factor: float) -> Wheels:
         """Return the aid with its sigma times ``factor``."""
-        return replace(self, sigma=self.sigma * factor)
+        return replace(self, sigma=scaled_sigma(self.sigma, factor))
+
+
+def scaled_sigma(sigma: Array, factor: float) -> Array:
+    """Return ``sigma`` times ``factor``, not made smaller than any sensor's."""
+    return np.maximum(np.minimum(sigma, LEAST_SIGMA), sigma * factor)
 
 
 def _calm(v: Array, t: Array) -> Array:

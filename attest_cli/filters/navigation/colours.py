@@ -48,10 +48,16 @@ def steady(P: Array, layout: Layout) -> Array:
 
 
 def driving(layout: Layout, span: Array) -> Array:
-    r"""Return the noise (k, c, c) that keeps them there: :math:`Q=P-\Phi P\Phi^T`."""
+    r"""Return the noise (k, c, c) that keeps them there, :math:`Q=P-\Phi P\Phi^T`, more where they are loose."""
     among, Phi = indices(layout), fading(layout, span)
     P = steady(np.zeros((layout.size, layout.size)), layout)[among[:, None], among]
-    return P - Phi @ P @ Phi.swapaxes(1, 2)
+    Q = P - Phi @ P @ Phi.swapaxes(1, 2)
+    grown = np.ones((len(span), layout.size))
+    for state in layout.coloured():
+        if state.loose is not None:
+            grown[:, layout.parts[state.name]] = np.sqrt(state.loose)[:, None]
+    grown = grown[:, among]
+    return Q * grown[:, :, None] * grown[:, None, :]
 
 
 def _places(layout: Layout, name: str) -> Ints:

@@ -15,7 +15,7 @@ import numpy as np
 from ...maths import adjoint, strapdown
 from ...records import Array
 from . import colours
-from .aids import Aid, Place, Rows, Wheels
+from .aids import Aid, Place, Rows, Wheels, scaled_sigma
 from .model import Inertial, Linear, Trajectory, linearise, renoised
 from .solve import forward, log_likelihood, pile
 from .states import Layout
@@ -25,7 +25,7 @@ CHECK_NODES, WIDER, TOO_FAR, MOST_STEPS = 4000, 1.41, 1.15, 8
 CHANCE = 2.0  # sigmas of a mean square
 HIDDEN_S, BETWEEN_S = 15.0, 25.0  # outages by which the coloured errors of fixes are checked
 ROUNDS = 2
-STEPS = (4.0, 2.0, 1.41)  # factors tried, coarse to fine
+STEPS = (4.0, 2.0)  # factors tried, coarse to fine: what is left is found over the whole log
 RANGE = (0.002, 400.0)
 WORTH = 1.0  # log-likelihood that a change has to bring
 
@@ -43,14 +43,14 @@ class Window:
 
     def log_likelihood(self, factors: Mapping[str, float]) -> float:
         """Return that of the innovations with the sigmas times ``factors``."""
-        P0, lin, placed = self._with(factors)
+        P0, lin, placed = self.under(factors)
         return log_likelihood(P0, lin, pile(placed, len(self.at.q), self.form.size))
 
     def withheld(self, factors: Mapping[str, float]) -> tuple[float, float, int]:
         """Return the mean normalised square, per degree of freedom, and the log-likelihood of fixes in outages,
         predicted from both sides, and how many outages there are.
         """
-        P0, lin, placed = self._with(factors)
+        P0, lin, placed = self.under(factors)
         at = next(k for k, (aid, _) in enumerate(placed) if isinstance(aid, Place))
         aid, rows = placed[at]
         hidden = (rows.t - rows.t[0]) % (HIDDEN_S + BETWEEN_S) > BETWEEN_S
@@ -66,11 +66,15 @@ class Window:
         outages = len(np.unique((test.t - rows.t[0]) // (HIDDEN_S + BETWEEN_S)))
         return 0.5 * float(np.mean(squares)), -0.5 * float(np.sum(squares + np.linalg.slogdet(S)[1])), outages
 
-    def _with(self, factors: Mapping[str, float]) -> tuple[Array, Linear, list[tuple[Aid, Rows]]]:
+    def loosened(self, loose: Mapping[str, Array]) -> Window:
+        """Return the window with ``loose`` factors on what drives coloured errors, per interval between its nodes."""
+        return replace(self, form=self.form.loosened(loose))
+
+    def under(self, factors: Mapping[str, float]) -> tuple[Array, Linear, list[tuple[Aid, Rows]]]:
         """Return prior, motion and rows with the sigmas times ``factors``."""
         lin = renoised(self.lin, scaled_inertial(self.inertial, factors), self.form.scaled(factors), self.at)
         placed = [
-            (aid, replace(rows, sigma=rows.sigma * factors.get(aid.role, 1.0) if _free(aid) else rows.sigma))
+            (aid, replace(rows, sigma=scaled_sigma(rows.sigma, factors.get(aid.role, 1.0))) if _free(aid) else rows)
             for aid, rows in self.rows
         ]
         return colours.steady(self.P0, self.form.scaled(factors)), lin, placed
@@ -80,12 +84,11 @@ def identify(
     form: Layout, P0: Array, inertial: Inertial, aids: Sequence[Aid], at: Trajectory, free: Sequence[str]
 ) -> dict[str, float]:
     """Return the factors on the sigmas of ``free`` (``gyro``, ``accelerometer``, roles of aids, groups of Gauss-Markov
-    states): coordinate search.
+    states), roughly: from a window of the log, where the aids are densest.
 
-    The trajectory stays: what changes is how far the filter trusts each sensor. A window of the log is used, where the
-    aids are densest.
+    The trajectory stays: what changes is how far the filter trusts each sensor.
     """
-    window = _window(form, P0, inertial, aids, at, WINDOW_NODES)
+    window = stretch(form, P0, inertial, aids, at, WINDOW_NODES)
     factors = dict.fromkeys(free, 1.0)
     best = window.log_likelihood(factors)
     for step in STEPS:
@@ -115,7 +118,7 @@ def widened(
     out = dict(factors)
     if not any(isinstance(aid, Place) for aid in aids):
         return out
-    window = _window(form, P0, inertial, aids, at, CHECK_NODES)
+    window = stretch(form, P0, inertial, aids, at, CHECK_NODES)
     square, best, outages = window.withheld(out)
     for _ in range(MOST_STEPS):
         if square <= TOO_FAR:
@@ -146,7 +149,7 @@ def _free(aid: Aid) -> bool:
     return isinstance(aid, Place | Wheels)
 
 
-def _window(
+def stretch(
     form: Layout, P0: Array, inertial: Inertial, aids: Sequence[Aid], at: Trajectory, most: int
 ) -> Window:  # fmt: skip
     """Return the stretch of at most ``most`` nodes with most fixes and wheels."""
@@ -162,6 +165,6 @@ def _window(
     cut = {name: getattr(inertial, name)[between] for name in ("frozen", "gap", "gyro", "accel")}
     rows = tuple((aid, aid.rows(form, at).within(nodes.start, nodes.stop)) for aid in aids)
     return Window(
-        form, P0, replace(inertial, **cut), Trajectory(at.q[nodes], at.x[nodes]),
+        form.within(between), P0, replace(inertial, **cut), Trajectory(at.q[nodes], at.x[nodes]),
         Linear(lin.Phi[between], lin.Q[between], lin.u[between], motion), rows,
     )  # fmt: skip

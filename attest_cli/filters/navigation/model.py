@@ -114,6 +114,11 @@ def renoised(lin: Linear, inertial: Inertial, layout: Layout, at: Trajectory) ->
     return replace(lin, Q=Q)
 
 
+def inertial_noise(inertial: Inertial, at: Trajectory, motion: strapdown.Motion) -> Array:
+    """Return the noise (n - 1, 15, 15) of the IMU alone, none where it is not heard."""
+    return _core_noise(inertial, rotation.matrix(at.q[:-1]), motion) * ~inertial.gap[:, None, None]
+
+
 def _core_noise(inertial: Inertial, R: Array, motion: strapdown.Motion) -> Array:
     gyro = np.where(inertial.frozen | inertial.gap, FROZEN, inertial.gyro)
     return strapdown.noise(R, motion, gyro, inertial.accel, inertial.gyro_walk, inertial.accel_walk)

@@ -55,7 +55,8 @@ Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]
 @dataclass(frozen=True, slots=True)
 class Problem:
     """What the solver needs; what ``heading`` counts from, and the ``origin`` of places: rad, rad, m (WGS 84);
-    ``north``: sigma of its direction beyond what the states know, rad.
+    ``north``: sigma of its direction beyond what the states know, rad; ``rest_accel`` (n - 1,) spectral density of the
+    accelerometer without what its motion adds.
     """
 
     layout: Layout
@@ -68,6 +69,7 @@ class Problem:
     heading: str
     origin: tuple[float, float, float] | None
     north: float
+    rest_accel: Array
 
 
 def assemble(
@@ -122,9 +124,10 @@ def assemble(
         aids.append(tuned_field(field, form, at, nodes.t))
     late = max(0.0, places[0].t[0] - nodes.t[0]) if places else 0.0
     prior = _prior(form, at, heading, NEAR_M + FAST_M_S * late if places else None)
-    inertial = _inertial(drive, nodes, scaled="gyro scale" in form)
+    inertial, rest_accel = _inertial(drive, nodes, scaled="gyro scale" in form)
     return Problem(
-        form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive), north
+        form, prior, inertial, tuple(aids), at, _tuner(nodes.t), (*doubts, *told), heading, origin_of(drive), north,
+        rest_accel,
     )  # fmt: skip
 
 
@@ -205,8 +208,10 @@ def _core_states(drive: Drive) -> list[State]:
     return states
 
 
-def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
-    """Return the IMU with the noise of each interval: what a stop shows, and more where it moves."""
+def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> tuple[Inertial, Array]:
+    """Return the IMU with the noise of each interval: what a stop shows, and more where it moves; that of the
+    accelerometer also without.
+    """
     noise, n = drive.noise, len(nodes.t)
     bare = np.zeros(n - 1)
     walk = noise.gyro_walk
@@ -224,11 +229,10 @@ def _inertial(drive: Drive, nodes: Nodes, *, scaled: bool) -> Inertial:
     stated = drive.settings.imu.accel_noise_density is not None
     felt = np.abs(force - drive.world.gravity)
     unmodelled = 0.0 if stated else ACCEL_FLOOR**2 + (ACCEL_SHARE * felt) ** 2
-    accel = noise.accel_density**2 + np.where(moving, unmodelled, 0.0)
     imu = drive.log.imu
     gyro = gyro + added_density(imu.t, imu.gyro_added, nodes.t)
-    accel = accel + added_density(imu.t, imu.accel_added, nodes.t)
-    return replace(found, gyro=gyro, accel=accel)
+    rest = noise.accel_density**2 + added_density(imu.t, imu.accel_added, nodes.t)
+    return replace(found, gyro=gyro, accel=rest + np.where(moving, unmodelled, 0.0)), rest
 
 
 def _inertial_aids(drive: Drive, nodes: Nodes) -> list[Aid]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,10 +14,10 @@ from ...settings import Settings
 from ...wheels import Judged
 from .. import Drive, Forward, indirect
 from ..wheeled import believed, smoothed
-from . import colours, solve
+from . import colours, components, solve
 from .aids import Place, Wheels
 from .fixes import epochs_of
-from .identify import identify, scaled_inertial, widened
+from .identify import identify, scaled_inertial, stretch, widened
 from .model import Inertial, Trajectory
 from .offsets import Offset, offsets, wider
 from .problem import Problem, assemble, node_spacing
@@ -34,13 +34,14 @@ SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to be
 
 @dataclass(frozen=True, slots=True)
 class Learnt:
-    """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise, which
-    ``odometry`` is believed, how far heading sensors are ``off``, rad.
+    """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise, ``jumps`` of
+    fixes, which ``odometry`` is believed, how far heading sensors are ``off``, rad.
     """
 
     lags: Mapping[str, float] = field(default_factory=dict)
     arms: Mapping[str, Array] = field(default_factory=dict)
     factors: Mapping[str, float] = field(default_factory=dict)
+    jumps: components.Jumps = field(default_factory=dict)
     odometry: Judged | None = None
     off: Mapping[str, float] = field(default_factory=dict)
 
@@ -90,9 +91,9 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
     problem = assemble(late, nodes, q, bias, begun.run.heading, learnt.arms, learnt.odometry, learnt.off)
     if before is not None:
         problem = replace(problem, at=_resumed(before, problem.layout, nodes.t))
-    problem, factors = _with_noise(drive, problem, learnt.factors, begin=before is None)
+    problem, learnt = _with_noise(drive, problem, learnt, begin=before is None)
     found = _solved(drive, problem)
-    return Navigated(begun, nodes, problem, found, replace(learnt, factors=factors))
+    return Navigated(begun, nodes, problem, found, learnt)
 
 
 def _spaced(drive: Drive) -> Settings:
@@ -129,15 +130,13 @@ def _resumed(before: Navigated, form: Layout, t: Array) -> Trajectory:
     return Trajectory(q, x)
 
 
-def _with_noise(
-    drive: Drive, problem: Problem, factors: Mapping[str, float], *, begin: bool
-) -> tuple[Problem, Mapping[str, float]]:  # fmt: skip
+def _with_noise(drive: Drive, problem: Problem, learnt: Learnt, *, begin: bool) -> tuple[Problem, Learnt]:
     """Return the problem with the noise that its own fixes and wheels show, found once; at the beginning, where the
     trajectory is far off, with all fixes at full weight.
     """
     aiding = [a for a in problem.aids if isinstance(a, Place | Wheels)]
     if not aiding:
-        return problem, factors
+        return problem, learnt
     inertial, free = problem.inertial, [a.role for a in aiding if not _stated(drive, a.role)]
     free += [c.name for c in problem.layout.coloured()]  # nobody states these
     if drive.settings.imu.accel_noise_density is None:
@@ -148,22 +147,36 @@ def _with_noise(
     if begin:
         aids = tuple(replace(a, robust=False) if isinstance(a, Place | Wheels) else a for a in problem.aids)
         at = solve.solve(problem.layout, problem.prior, inertial, aids, at, FIRST_PASSES, problem.tune).smoothed
-        factors = identify(problem.layout, problem.prior[1], inertial, aids, at, free) if free else {}
-        factors = widened(problem.layout, problem.prior[1], inertial, aids, at, factors)
+        learnt = _judged(replace(problem, inertial=inertial, aids=aids, at=at), learnt, free)
+    factors = learnt.factors
     aids = tuple(a.scaled(factors.get(a.role, 1.0)) if isinstance(a, Place | Wheels) else a for a in problem.aids)
     form, (start, P0) = problem.layout.scaled(factors), problem.prior
+    form = form.loosened(components.loose(aids, learnt.jumps, learnt.lags, len(problem.at.q)))
     return replace(
         problem, layout=form, prior=(start, colours.steady(P0, form)),
-        inertial=_floored(inertial, problem.inertial, factors), aids=aids, at=at,
-    ), factors  # fmt: skip
+        inertial=_floored(inertial, problem, factors), aids=aids, at=at,
+    ), learnt  # fmt: skip
 
 
-def _floored(begun: Inertial, least: Inertial, factors: Mapping[str, float]) -> Inertial:
-    """Return the IMU with the densities found, never below those it was given: vibration and tilt that rocks are no
-    white noise, and look small from one fix to the next.
+def _judged(problem: Problem, learnt: Learnt, free: Sequence[str]) -> Learnt:
+    """Return also the factors on the noise of ``free``, and the jumps of the fixes: a few great ones would count as
+    noise of all sensors.
     """
-    found = scaled_inertial(begun, factors)
-    return replace(found, gyro=np.maximum(found.gyro, least.gyro), accel=np.maximum(found.accel, least.accel))
+    form, P0, inertial, aids, at = problem.layout, problem.prior[1], problem.inertial, problem.aids, problem.at
+    rough, n = identify(form, P0, inertial, aids, at, free), len(at.q)
+    factors, jumps = components.refined(stretch(form, P0, inertial, aids, at, n), aids, rough)
+    form = form.loosened(components.loose(aids, jumps, {}, n))
+    return replace(learnt, factors=widened(form, P0, inertial, aids, at, factors), jumps=jumps)
+
+
+def _floored(begun: Inertial, problem: Problem, factors: Mapping[str, float]) -> Inertial:
+    """Return the IMU with the densities found, never below those of ``problem``: vibration and tilt that rocks are no
+    white noise, and look small from one fix to the next. Of the accelerometer hidden fixes show how much it is; without
+    fixes nothing does.
+    """
+    found, least = scaled_inertial(begun, factors), problem.inertial
+    accel = problem.rest_accel if any(isinstance(a, Place) for a in problem.aids) else least.accel
+    return replace(found, gyro=np.maximum(found.gyro, least.gyro), accel=np.maximum(found.accel, accel))
 
 
 def _stated(drive: Drive, role: str) -> bool:

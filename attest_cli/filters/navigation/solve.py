@@ -62,8 +62,12 @@ def forward(prior: Array, lin: Linear, rows: Stack, first: Array) -> sequential.
 
 def log_likelihood(prior: Array, lin: Linear, rows: Stack) -> float:
     """Return the log-likelihood of the innovations of :func:`forward`."""
-    whitening = sum(float(np.sum(np.log(r.sigma) - 0.5 * np.log(w)[:, None])) for _, r, _, w in rows.places)
-    return sequential.log_likelihood(len(rows.r), np.zeros(len(prior)), prior, *_model(lin, rows)) - whitening
+    return sequential.log_likelihood(len(rows.r), np.zeros(len(prior)), prior, *_model(lin, rows)) - whitening(rows)
+
+
+def whitening(rows: Stack) -> float:
+    """Return what the log-likelihood of whitened rows has more than that of the measurements."""
+    return sum(float(np.sum(np.log(r.sigma) - 0.5 * np.log(w)[:, None])) for _, r, _, w in rows.places)
 
 
 def _model(lin: Linear, rows: Stack) -> tuple[sequential.Predict, sequential.Observe]:

@@ -15,7 +15,8 @@ CORE = ("attitude", "velocity", "position", "gyro bias", "accelerometer bias")
 @dataclass(frozen=True, slots=True)
 class State:
     """A group of states. ``sigma`` prior (one for all, or one each); ``correlation_s``: 0 = a constant (it may walk),
-    else a Gauss-Markov error of this time whose sigma stays. ``rate_of`` names the coloured group that it drives.
+    else a Gauss-Markov error of this time whose sigma stays. ``rate_of`` names the coloured group that it drives;
+    ``loose`` (n - 1,) factors on the variance of what drives a coloured group between nodes, where it jumps.
     """
 
     name: str
@@ -23,6 +24,7 @@ class State:
     sigma: float | Array
     correlation_s: float = 0.0
     rate_of: str = ""
+    loose: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,14 @@ class Layout:
     def scaled(self, factors: Mapping[str, float]) -> Layout:
         """Return the layout with the sigmas of named groups times a factor."""
         return layout(replace(s, sigma=s.sigma * factors.get(s.name, 1.0)) for s in self.states)
+
+    def loosened(self, loose: Mapping[str, Array]) -> Layout:
+        """Return the layout with other factors (n - 1,) on what drives the named groups."""
+        return layout(replace(s, loose=loose.get(s.name, s.loose)) for s in self.states)
+
+    def within(self, between: slice) -> Layout:
+        """Return the layout over some of the intervals between nodes."""
+        return layout(s if s.loose is None else replace(s, loose=s.loose[between]) for s in self.states)
 
 
 def layout(states: Iterable[State]) -> Layout:

@@ -54,3 +54,12 @@ def test_a_plain_error_is_a_gauss_markov_one_and_none_is_none() -> None:
     np.testing.assert_allclose(colours.fading(made, np.array([30.0])), [[[kept]]])
     np.testing.assert_allclose(colours.driving(made, np.array([30.0])), [[[4.0 * (1.0 - kept**2)]]])
     assert colours.driving(form(), np.ones(2)).shape == (2, 0, 0)
+
+
+def test_where_it_is_loose_more_drives_it_and_its_rate() -> None:
+    span, factors = np.array([0.1, 0.3, 2.0]), np.array([1.0, 9.0, 4.0])
+    usual = colours.driving(form(DRIFT, RATE), span)
+    made = form(DRIFT, RATE).loosened({"gps drift": factors, "gps drift rate": factors})
+    np.testing.assert_allclose(colours.driving(made, span), usual * factors[:, None, None], rtol=1e-12)
+    part = made.scaled({"gps drift": 2.0}).within(slice(1, 2))
+    np.testing.assert_allclose(colours.driving(part, span[1:2])[0, 3:, 3:], 9.0 * usual[1, 3:, 3:], rtol=1e-12)
