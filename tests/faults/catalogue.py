@@ -179,6 +179,9 @@ VALUES: dict[str, Fault] = {
 
 UNITS: dict[str, Fault] = {
     "gyro in deg/s": Fault("bare", ("unit-contradicted", "deg/s"), scaled(57.29578, *GYRO)),
+    "gyro z in deg/s": Fault("odometry", ("unit-contradicted",), scaled(57.29578, "gyro_z")),
+    "gyro x in deg/s, walk": Fault("walk", ("unit-contradicted",), scaled(57.29578, "gyro_x")),
+    "gyro y in rad/s, taken for deg/s": Fault("gps", ("unit-contradicted",), scaled(1 / 57.29578, "gyro_y")),
     "gyro in deg/s on the level": Fault("level", ("unit-doubted",), scaled(57.29578, *GYRO)),
     "gyro in deg/s, sun": Fault("sun", ("unit-contradicted", "deg/s"), scaled(57.29578, *GYRO)),
     "gyro in deg/s from the middle on": Fault("bare", ("unit changes",), midway(57.29578, *GYRO)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from attest_cli.prepare.stuck import dead, stuck, told_coarse, told_numb
+from attest_cli.prepare.stuck import dead, stuck, told_coarse, told_numb, told_unlike
 
 T = np.arange(4000) / 100.0
 
@@ -100,3 +100,27 @@ class TestAnAxisThatHoldsNothingButNoise:
         short[-300:, 2] /= 20.0
         for other in (back, never, all_calm, short):
             assert not told_numb("log", self.NAMES, t, other)
+
+
+class TestAnAxisInAnotherUnit:
+    NAMES = ("gyro_x", "gyro_y", "gyro_z")
+
+    @pytest.mark.parametrize("axis", [0, 2])
+    @pytest.mark.parametrize("times", [57.29578, 1 / 57.29578, 40.0])
+    def test_is_named(self, axis: int, times: float) -> None:
+        _, gyro = shaken()
+        gyro[:, axis] *= times
+        (warning,) = told_unlike("log", self.NAMES, gyro)
+        assert (warning.code, warning.fatal) == ("unit-contradicted", True)
+        assert f"{self.NAMES[axis]} is" in warning.message
+
+    def test_none_is_told_of_axes_that_differ_as_axes_do(self) -> None:
+        _, gyro = shaken()
+        lively, still, noisy, each, rounded, few = (gyro.copy() for _ in range(6))
+        lively[:, 2] = np.where(np.abs(gyro[:, 0]) > 4e-3, 57.0, 1.0) * gyro[:, 2]  # of the motion, not of the axis
+        still[gyro.std(axis=1) > 4e-3, 2] /= 20.0
+        noisy[:, 1] *= 10.0
+        each *= np.array([1.0, 7.0, 57.0])  # no two are alike
+        rounded = np.round(rounded * np.array([1.0, 1.0, 57.0]), 2)
+        for other in (gyro, lively, still, noisy, each, rounded, (few * np.array([1.0, 1.0, 57.0]))[:500]):
+            assert told_unlike("log", self.NAMES, other) == []
