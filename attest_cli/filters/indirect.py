@@ -91,23 +91,40 @@ def _scaled(begun: Begun) -> tuple[Drive | None, tuple[Warn, ...]]:
     """
     drive, more = begun.drive, list[Observation]()
     exact = _exact(begun)
-    alone = scale.learn(exact.nodes, exact.run)
-    if alone[1] > scale.VAGUE and (more := verticals(drive, exact.nodes, exact.run)):
+    evidence = scale.learn(exact.nodes, exact.run)
+    if evidence.common()[1] > scale.VAGUE and (more := verticals(drive, exact.nodes, exact.run)):
         exact = _exact(_begin(drive, None, more))
-        alone = scale.learn(exact.nodes, exact.run)
+        evidence = scale.learn(exact.nodes, exact.run)
 
-    def explains(error: float, sigmas: float) -> bool:
-        """Whether the sensors miss less without it."""
-        return _less_left(exact.run, _exact(_begin(scale.without(drive, error), None, more)).run, sigmas)
+    def explains(candidate: Drive, sigmas: float) -> bool:
+        """Whether the sensors miss less of it."""
+        return _less_left(exact.run, _exact(_begin(candidate, None, more)).run, sigmas)
 
-    better, told = scale.mended(drive, *alone)
+    if evidence.differ(drive.noise.gyro_scale):
+        axes, sigmas = _axes(drive, evidence, more)
+        found, told = scale.mended_axes(drive, axes, sigmas)
+        if np.abs(axes - np.eye(3)).max() < scale.LARGEST_OF_AXES and explains(found, scale.EXPLAINS):
+            return found, told
+    better, told = scale.mended(drive, *evidence.common())
     if better is not None:
-        return (better, told) if better.log is drive.log or explains(alone[0], scale.SURE) else (None, ())
+        return (better, told) if better.log is drive.log or explains(better, scale.SURE) else (None, ())
     if not scale.ALIKE & drive.log.fixes.keys():
         return None, ()
-    error, sigma = scale.learn(exact.nodes, exact.run, scale.ASKED | scale.ALIKE)
-    better, told = scale.doubted(drive, alone, (error, sigma))
-    return (better, told) if better is not None and explains(error, error / sigma) else (None, ())
+    error, sigma = scale.learn(exact.nodes, exact.run, scale.ASKED | scale.ALIKE).common()
+    better, told = scale.doubted(drive, evidence.common(), (error, sigma))
+    return (better, told) if better is not None and explains(scale.without(drive, error), error / sigma) else (None, ())
+
+
+def _axes(drive: Drive, evidence: scale.Evidence, more: Sequence[Observation]) -> tuple[Array, Array]:
+    """Return the axes (3, 3) of the gyro, :math:`I+M`, that the drive shows, and their sigma."""
+    total, sigma = np.eye(3), np.eye(3)
+    for k in range(scale.ROUNDS):
+        if k:
+            exact = _exact(_begin(scale.without(drive, total - np.eye(3)), None, more))
+            evidence = scale.learn(exact.nodes, exact.run)
+        M, sigma = evidence.each()
+        total = (np.eye(3) + M) @ total
+    return np.asarray(np.linalg.inv(total)), sigma
 
 
 def _exact(begun: Begun) -> Begun:

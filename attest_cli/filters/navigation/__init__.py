@@ -11,7 +11,7 @@ from ...maths.kalman import Errors
 from ...nodes import Nodes
 from ...records import FilterRun, Smoothed, Warn
 from ...settings import Settings
-from .. import Drive, Forward
+from .. import Drive, Forward, scale
 from . import axes, frame, offsets, solve
 from .aids import Place
 from .north import counted
@@ -71,7 +71,7 @@ def _with_own_axes(drive: Drive) -> tuple[Navigated, tuple[Warn, ...]]:
     again = navigate(better[0]) if better is not None else done
     if better is None or axes.misfit(again) >= axes.misfit(done):
         return done, ()
-    return again, (axes.told(*better[1:]),)
+    return again, (scale.told_axes(*better[1:]),)
 
 
 def _as_rover(settings: Settings) -> Settings:

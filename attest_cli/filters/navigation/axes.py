@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...maths import rotation
 from ...maths.consistency import upper_quantile
-from ...records import Array, Log, Warn
+from ...records import Array, Log
 from .. import Drive, scale
 from . import solve
 from .rounds import Navigated
@@ -26,10 +25,6 @@ SURE = 1e-4  # chance of a misfit taken as proof
 WIDE, LARGEST = 0.15, 0.3  # sigma with which the errors are looked for; larger ones are another fault
 OFTEN, CLIPPED = 2e-3, 0.1  # share of clipped samples that bends the scale; rad/s/sqrt(Hz): as noisy as those
 FAR = 30.0  # NIS that is larger counts as this
-TOLD, SIGMAS = 0.005, 3.0  # least error that is told, and in sigmas
-TURNED_RAD = np.radians(1.2)  # from which a turn is told as a contradiction
-HINT = "calibrate its scale and axes; what the drive shows of them was taken out, sigma counts what is left"
-TURNED_HINT = "if the accelerometer is the one that is turned, tilt is off by as much: calibrate their axes"
 
 
 def contradicted(log: Log, done: Navigated) -> bool:
@@ -83,28 +78,3 @@ def misfit(done: Navigated) -> float:
     """Return the sum of the NIS of all sensors, outliers capped."""
     nis = solve.innovations(done.found.found, done.found.rows).nis
     return float(np.minimum(nis, FAR).sum())
-
-
-def told(axes: Array, sigma: Array) -> Warn:
-    r"""Say what ``axes`` the gyro has: :math:`I+M=RS`, turned by ``R`` against the accelerometer, of scale ``S``.
-
-    Which of the two sensors is turned no drive tells: beyond a small turn, the attitude may be that of the wrong one.
-    """
-    U, _, V = np.linalg.svd(axes)
-    turn, S = rotation.log_quaternion(rotation.from_matrix(U @ V)), (U @ V).T @ axes
-    of_turn = 0.5 * np.hypot([sigma[2, 1], sigma[0, 2], sigma[1, 0]], [sigma[1, 2], sigma[2, 0], sigma[0, 1]])
-    own = np.diag(S) - 1.0
-    facts, angle = list[str](), float(np.linalg.norm(turn))
-    if angle > TOLD and np.any(np.abs(turn) > SIGMAS * of_turn):
-        facts.append(f"is turned {np.degrees(angle):.1f} deg against the accelerometer")
-    sure = (np.abs(own) > TOLD) & (np.abs(own) > SIGMAS * np.diag(sigma))
-    if sure.any():
-        by_axis = ", ".join(f"{1.0 + own[i]:.3f}" for i in np.flatnonzero(sure))
-        names = ", ".join("xyz"[i] for i in np.flatnonzero(sure))
-        facts.append(f"reads {by_axis} times the rate about {names}")
-    message = (
-        " and ".join(facts) or f"has axes that are off by up to {np.degrees(np.abs(axes - np.eye(3)).max()):.1f} deg"
-    )
-    if facts and angle > TURNED_RAD and "turned" in facts[0]:
-        return Warn("gyro-against-accel", f"the gyro {message}: taken out", TURNED_HINT, fatal=True)
-    return Warn("gyro-scale", f"the gyro {message} by the other sensors: corrected", HINT)

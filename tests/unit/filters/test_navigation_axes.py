@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from attest_cli.filters import Drive, Forward, navigation
+from attest_cli.filters import Drive, Forward, navigation, scale
 from attest_cli.filters.navigation import axes
 from attest_cli.filters.navigation.rounds import Navigated, navigate
 from attest_cli.maths import kalman, rotation
@@ -106,7 +106,7 @@ def test_a_gyro_turned_against_the_accelerometer_fails_the_log() -> None:
 
 def test_what_is_told_is_the_turn_and_the_scale() -> None:
     R = rotation.matrix(rotation.exp_quaternion(np.array([np.radians(0.9), 0.0, 0.0])))
-    told = axes.told(R @ np.diag([1.0, 1.03, 1.0]), np.full((3, 3), 1e-3))
+    told = scale.told_axes(R @ np.diag([1.0, 1.03, 1.0]), np.full((3, 3), 1e-3))
     assert "turned 0.9 deg" in told.message
     assert "1.030 times the rate about y" in told.message
     assert not told.fatal

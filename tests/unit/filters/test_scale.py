@@ -38,7 +38,7 @@ def unstated(drive: Drive, assumed: float) -> Drive:
 def found(drive: Drive, job: Job) -> tuple[float, float]:
     observations, _ = observe(drive.log, drive.segmentation, drive.world, drive.noise, drive.settings)
     nodes = build_nodes(drive.log, drive.segmentation, observations, drive.noise, drive.settings, None)
-    return learn(nodes, indirect.run(nodes, job.start, gate_probability=1.0))
+    return learn(nodes, indirect.run(nodes, job.start, gate_probability=1.0)).common()
 
 
 @pytest.mark.parametrize("factor", [0.98, 0.99, 1.0, 1.01, 1.02])

@@ -73,9 +73,9 @@ def test_a_bias_of_the_accelerometer_is_shared_by_the_windows_of_a_motion(job: J
 def test_they_show_a_scale_of_the_gyro_that_stops_and_compass_hardly_do(job: Job) -> None:
     drive = drive_of(job, 0.98)
     begun = indirect._begin(drive, None)
-    alone = learn(begun.nodes, begun.run)
+    alone = learn(begun.nodes, begun.run).common()
     more = indirect._exact(indirect._begin(drive, None, seen(drive)))
-    error, sigma = learn(more.nodes, more.run)
+    error, sigma = learn(more.nodes, more.run).common()
     assert sigma < 0.5 * alone[1]
     assert abs(error - (1.0 / 0.98 - 1.0)) < 3.0 * sigma
     found = indirect.forward(drive)
