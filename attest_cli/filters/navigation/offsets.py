@@ -13,7 +13,7 @@ from ...settings import Settings
 from .solve import Solution
 from .states import Layout, State
 
-ROLES = ("sun", "compass", "orientation", "magnetometer")
+ROLES = ("compass", "orientation", "magnetometer")  # a sun sensor has no north to be mistaken in: its mount is surveyed
 BEYOND, SURE = 2.0, 4.0  # sigmas as stated, and as the fixes show it, from which an offset is told
 CHANCE = 2.0  # sigmas as the fixes show it that an offset of none looks like now and then
 LEAST_SEEN = 1e-3  # of the prior variance: what the fixes take from it at least

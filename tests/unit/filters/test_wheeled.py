@@ -86,6 +86,34 @@ def test_they_show_a_scale_of_the_gyro_that_stops_and_compass_hardly_do(job: Job
     assert np.sqrt(np.mean(off[:, :2] ** 2)) < 0.5 * np.sqrt(np.mean(wrong[:, :2] ** 2))
 
 
+@pytest.mark.parametrize("axes", [np.diag([1.1, 1.0, 1.0]), np.diag([1.0, 0.95, 1.0]), np.diag([1.0, 1.0, 1.1])])
+def test_with_them_errors_of_single_axes_are_found_and_taken_out(job: Job, axes: np.ndarray) -> None:
+    sound = drive_of(job)
+    imu = replace(sound.log.imu, gyro_b=sound.log.imu.gyro_b @ axes.T)
+    drive = replace(sound, log=replace(sound.log, imu=imu))
+    begun = indirect._begin(drive, None)
+    more = wheeled.verticals(drive, begun.nodes, begun.run)
+    exact = indirect._exact(indirect._begin(drive, None, more))
+    evidence = learn(exact.nodes, exact.run)
+    assert evidence.differ(0.003)
+    found, sigma = indirect._axes(drive, evidence, more)
+    assert np.abs((found - axes) / sigma).max() < 3.5
+    assert sigma.diagonal().max() < 0.05
+    result = indirect.forward(drive)
+    (told,) = [w for w in result.warnings if w.code == "gyro-scale"]
+    assert f"about {'xyz'[int(np.argmax(np.abs(axes.diagonal() - 1.0)))]}" in told.message
+    off = rotation.log_quaternion(rotation.multiply(rotation.conjugate(result.run.q), job.truth(result.run.t).q_nb))
+    sigmas = np.sqrt(np.diagonal(result.run.chain.P, axis1=1, axis2=2)[:, :3])
+    assert np.sqrt(np.mean((off / sigmas) ** 2)) < 2.0
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.98])
+def test_axes_that_share_a_scale_do_not_differ(job: Job, factor: float) -> None:
+    drive = drive_of(job, factor)
+    exact = indirect._exact(indirect._begin(drive, None, seen(drive)))
+    assert not learn(exact.nodes, exact.run).differ(0.0)
+
+
 def test_none_stands_where_wheels_are_silent_nor_where_there_are_few(job: Job) -> None:
     wheels = job.log.fixes["odometry"]
     hole = (wheels.t > 20.0) & (wheels.t < 30.0)
