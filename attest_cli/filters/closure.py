@@ -29,7 +29,8 @@ LESS = 0.5  # of what an accelerometer's fault leaves: a gyro bias in motion tha
 GROSS_BIAS = 0.2  # m/s^2; a gyro turned 1.2 deg against the accelerometer would look the same, and is as rare
 SEEN, LEVEL = 0.2, 2.0  # of what a bias shows in the axis that shows it best; level over plumb: plumb, it tilts nothing
 SURE = 5.0  # sigma from which a bias or a rest contradicts
-CHANCE, USUAL = 5e-4, 0.01  # that noise opens so much, or gains so much; that it leaves so much
+# that noise opens so much, in which an assumed scale error is counted all along; that it leaves so much
+CHANCE, USUAL = 5e-4, 0.01
 EXPLAINED = 1e-5  # chance that noise, however large, is explained so wholly
 LEAST_CHANGE = 0.02  # m/s^2: 2 mg, what an accelerometer drifts in a day
 CALM_S, SHAKES = 4.0, 1.5  # of a rest that is no stop; times the noise at the stops

@@ -128,12 +128,21 @@ def _axes(drive: Drive, evidence: scale.Evidence, more: Sequence[Observation]) -
 
 
 def _exact(begun: Begun) -> Begun:
-    """Return the drive as if its gyro had no scale error: a run that refuses nothing, whose innovations show one."""
+    """Return the drive as if its gyro had no scale error: a run whose innovations show one. It takes all gravity, which
+    cannot be an outlier, and of other sensors what was not refused.
+    """
     drive, found = begun.drive, begun.run.innovations
+    gravity, nodes = found.role == "gravity", begun.nodes
+    bad = ~gravity & ~found.used
+    others = set(zip(found.role[bad].tolist(), found.t[bad].tolist(), strict=True))
+    if others:
+        nodes = nodes.only([[m for m in group if (m.role, m.t) not in others] for group in nodes.measurements])
     if drive.noise.gyro_scale > 0.0:
-        return _with_noise(begun, replace(drive, noise=replace(drive.noise, gyro_scale=0.0)), 1.0)
-    refused = bool(np.any((found.role == "gravity") & ~found.used))
-    return replace(begun, run=run(begun.nodes, begun.start, 1.0)) if refused else begun
+        exact = replace(drive, noise=replace(drive.noise, gyro_scale=0.0))
+        return _with_noise(replace(begun, nodes=nodes), exact, 1.0)
+    if others or np.any(gravity & ~found.used):
+        return replace(begun, nodes=nodes, run=run(nodes, begun.start, 1.0))
+    return begun
 
 
 def _with_noise(begun: Begun, drive: Drive, gate: float) -> Begun:

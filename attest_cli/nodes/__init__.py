@@ -6,6 +6,7 @@ The IMU is handled in bulk; filters and smoothers see only nodes. Between them s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -77,6 +78,11 @@ class Nodes:
         )
         again = replace(self, increments=increments, lost=None)
         return again if self.lost is None else again.losing(self.lost)
+
+    def only(self, measurements: Sequence[Sequence[Measurement]]) -> Nodes:
+        """Return the nodes with these ``measurements`` of those ``measured``, of which none may be left."""
+        left = [k for k, group in enumerate(measurements) if group]
+        return replace(self, measured=self.measured[left], measurements=tuple(tuple(measurements[k]) for k in left))
 
     def losing(self, lost: Array) -> Nodes:
         """Return the nodes with ``lost`` (n - 1, 3, 3) rad^2 added to the attitude's noise."""

@@ -142,9 +142,9 @@ class Magnetometer:
 
     .. math:: R(m-h)=F+o\,[\text{moving}]+v
 
-    ``field_b`` (k, 3) means at the nodes; earth field ``F`` (horizontal, vertical) towards ``azimuth``, or off it by an
-    offset that is a state; hard iron
-    ``h``; the motion offset ``o`` leaves the datum of heading to the stops. ``sigma`` (k,). Tesla.
+    ``field_b`` (k, 3) means at the nodes; earth field ``F`` (horizontal, vertical) towards ``azimuth``, or clockwise
+    off it by an offset that is a state: the heading reads as much counter-clockwise; hard iron ``h``; the motion offset
+    ``o`` leaves the datum of heading to the stops. ``sigma`` (k,). Tesla.
     """
 
     node: Ints
@@ -162,7 +162,7 @@ class Magnetometer:
         h, F, o = (layout.parts[name] for name in ("hard iron", "earth field", "motion offset"))
         offset, azimuth = layout.parts.get("magnetometer offset"), np.full(len(x), self.azimuth)
         if offset is not None:
-            azimuth += x[:, offset.start]
+            azimuth -= x[:, offset.start]
         basis = np.zeros((len(x), 3, 2))
         basis[:, 0, 0], basis[:, 1, 0], basis[:, 2, 1] = np.cos(azimuth), np.sin(azimuth), 1.0
         field_n = np.einsum("kij,kj->ki", R, self.field_b - x[:, h])
@@ -174,7 +174,7 @@ class Magnetometer:
         H[:, :, h], H[:, :, F] = R, basis
         H[:, :, o] = self.moving[:, None, None] * np.eye(3)
         if offset is not None:
-            H[:, 0, offset.start], H[:, 1, offset.start] = -earth_n[:, 1], earth_n[:, 0]
+            H[:, 0, offset.start], H[:, 1, offset.start] = earth_n[:, 1], -earth_n[:, 0]
         return Rows(self.node, self.t, r, H, np.repeat(self.sigma[:, None], 3, axis=1))
 
 

@@ -53,7 +53,8 @@ def refined(window: Window, aids: Sequence[Aid], factors: Mapping[str, float]) -
     """
     places = [aid for aid in aids if isinstance(aid, Place) and len(aid.t)]
     none: Jumps = {place.role: (place.t, np.ones(len(place.t))) for place in places}
-    starts = [dict(factors), _coloured(window.form, places, factors)] if places else [dict(factors)]
+    starts = [dict(factors), _coloured(window.form, places, factors)]
+    starts = starts[: 1 if starts[0] == starts[1] else 2]
     tried = [_passes(window, places, start, none, TRIAL) for start in starts]
     found, jumps, _ = max(tried, key=lambda of: of[2])
     return _passes(window, places, found, jumps, PASSES)[:2]

@@ -34,18 +34,22 @@ def jumps(imu: Imu, t: Array, q: Array, place: Place, gravity: float) -> list[Ju
 
     .. math:: e_k=J/h+w_k,\quad e_{k+1}=-J/h+w_{k+1},\quad \hat J=\tfrac h2(e_k-e_{k+1})
 
+    A move that is felt in another heading leaves the same, so what is felt to move as far is no leap.
+
     Parameters
     ----------
     t, q : (n,), (n, 4) nodes and their attitude; its heading need not be known
     gravity : m/s^2
     """
-    rows = np.flatnonzero((place.t > t[0]) & (place.t < t[-1]))
+    rows = np.flatnonzero((place.t > t[0]) & (place.t < t[-1]) & (np.diff(place.t, prepend=-np.inf) > 0.0))
     if len(rows) < LEAST:
         return []
     when, path = place.t[rows], path_felt(imu, t, q, gravity)
     felt = np.stack([np.interp(when, imu.t, path[:, i]) for i in range(3)], axis=1)
-    e = np.nan_to_num(second(when, place.place_n[rows]) - second(when, felt))
+    turned = second(when, felt)
+    e = np.nan_to_num(second(when, place.place_n[rows]) - turned)
     h = np.diff(when)[1:-1]
+    moved = 0.5 * h * np.linalg.norm(turned[:-1] - turned[1:], axis=1)
     by = 0.5 * h[:, None] * (e[:-1] - e[1:])
     left = 0.5 * h * np.linalg.norm(e[:-1] + e[1:], axis=1)
     beside = np.concatenate([[0.0], np.linalg.norm(e, axis=1), [0.0]])
@@ -54,7 +58,8 @@ def jumps(imu: Imu, t: Array, q: Array, place: Place, gravity: float) -> list[Ju
     longest = np.maximum(np.maximum(gap[:-2], gap[1:-1]), gap[2:])
     usual = float(np.quantile(size, USUAL))
     leaps = size > max(TIMES * usual, SIGMAS * float(np.nanmedian(place.sigma[:, :2])))
-    found = np.flatnonzero(leaps & (np.maximum(left, around) < ONCE * size) & (longest < HOLE * np.median(gap)))
+    once = np.maximum(np.maximum(left, around), moved) < ONCE * size
+    found = np.flatnonzero(leaps & once & (longest < HOLE * np.median(gap)))
     return [Jump(int(rows[k + 2]), by[k], usual) for k in found] if len(found) <= MOST else []
 
 
@@ -78,6 +83,7 @@ def doubts(place: Place, found: Sequence[Jump]) -> list[Warn]:
         return []
     first, more = found[0], f", and {len(found) - 1} times more" if len(found) > 1 else ""
     size = float(np.linalg.norm(first.by))
-    message = f"{place.role} leaps by {size:.2g} m at {place.t[first.row]:.1f} s and stays there{more}: taken out"
+    stays = " and stays there" if len(found) == 1 else ""
+    message = f"{place.role} leaps by {size:.2g} m at {place.t[first.row]:.1f} s{stays}{more}: taken out"
     hint = "did it lose its target, or was its frame set anew? places count in the frame of the first fixes"
     return [Warn(f"{place.role}-jump", message, hint)]

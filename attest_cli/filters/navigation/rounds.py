@@ -140,7 +140,7 @@ def _with_noise(drive: Drive, problem: Problem, learnt: Learnt, *, begin: bool) 
     inertial, free = problem.inertial, [a.role for a in aiding if not _stated(drive, a.role)]
     free += [c.name for c in problem.layout.coloured()]  # nobody states these
     if drive.settings.imu.accel_noise_density is None:
-        free, inertial = ["accelerometer", *free], replace(inertial, accel=np.maximum(inertial.accel, SAFE_ACCEL**2))
+        free, inertial = ["accelerometer", *free], replace(inertial, accel=_lively(problem))
     if drive.settings.imu.gyro_noise_density is None:
         free, inertial = ["gyro", *free], replace(inertial, gyro=np.maximum(inertial.gyro, SAFE_GYRO**2))
     at = problem.at
@@ -156,6 +156,12 @@ def _with_noise(drive: Drive, problem: Problem, learnt: Learnt, *, begin: bool) 
         problem, layout=form, prior=(start, colours.steady(P0, form)),
         inertial=_floored(inertial, problem, factors), aids=aids, at=at,
     ), learnt  # fmt: skip
+
+
+def _lively(problem: Problem) -> Array:
+    """Return the density of the accelerometer to begin with: a rest is no measure of what shakes in motion."""
+    accel = problem.inertial.accel
+    return np.asarray(np.where(accel > problem.rest_accel, np.maximum(accel, SAFE_ACCEL**2), accel))
 
 
 def _judged(problem: Problem, learnt: Learnt, free: Sequence[str]) -> Learnt:
