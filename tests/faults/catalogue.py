@@ -339,7 +339,7 @@ ORIENTATIONS: dict[str, Fault] = {
 PLACES: dict[str, Fault] = {
     "GPS outliers 1 fix": Fault("gps", ("gps-outliers", "rejected-gps", "innovations-gps"),
                                 outliers(0.01, "latitude", size=0.01)),
-    "GPS outliers 20 %": Fault("gps", ("gps-outliers", "rejected-gps", "innovations-gps"),
+    "GPS outliers 20 %": Fault("gps", ("gps-outliers", "gps-scatters", "rejected-gps", "innovations-gps"),
                                outliers(0.2, "latitude", "longitude", size=0.001)),
     "GPS 0, 0": Fault("gps", ("gps-dropped",), during(-1.0, 12.0, GPS[:2], 0.0)),
     "GPS latitude and longitude swapped": Fault("gps", ("gps-elsewhere",), swapped("latitude", "longitude")),

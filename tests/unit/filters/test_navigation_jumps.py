@@ -66,6 +66,22 @@ def test_noise_motion_and_single_bad_fixes_are_no_leaps(seed: int, rows: tuple[s
     assert len(found) == (2 if rows and rows[0].stop - rows[0].start > 2 else 0)
 
 
+@pytest.mark.parametrize("turn", [0.0, 1.5, 3.1])
+def test_a_short_move_is_no_leap_in_whatever_heading_it_is_felt(turn: float) -> None:
+    """Three of 0.4 m in 0.7 s, between fixes of 1 Hz."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 120.0, 0.01)
+    p, a = np.zeros((len(t), 3)), np.zeros((len(t), 3))
+    for begin in (30.7, 60.7, 90.7):
+        x = np.clip((t - begin) / 0.7, 0.0, 1.0)
+        p[:, 0] += 0.4 * (x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi))
+        a[:, 0] += 0.4 * 2.0 * np.pi / 0.7**2 * np.sin(2.0 * np.pi * x)
+    force = a + np.array([0.0, 0.0, GRAVITY]) + rng.normal(0.0, 0.02, a.shape)
+    fixes = p[::100] + rng.normal(0.0, SIGMA, (len(t[::100]), 3))
+    place = Place(np.arange(len(fixes)), t[::100], fixes, np.full(fixes.shape, SIGMA), np.zeros(3), "position")
+    q = np.tile(rotation.exp_quaternion(np.array([0.0, 0.0, turn])), (len(t[::10]), 1))
+    assert jumps(Imu(t, np.zeros_like(a), force), t[::10], q, place, GRAVITY) == []
+
+
 def test_fixes_that_leap_all_the_time_are_left_to_their_noise() -> None:
     imu, t, q, place = moved(1)
     assert not jumps(imu, t, q, bent(place, LEAP, *(slice(k, None) for k in range(50, 550, 40))), GRAVITY)

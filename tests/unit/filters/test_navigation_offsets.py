@@ -37,8 +37,10 @@ def rover(seed: int, sensor: str, odometry: bool) -> tuple[RoverOptions, Log, Se
     return chosen, prepare([made.log], settings), settings
 
 
-def solved(seed: int, off_deg: float, sensor: str = "compass", odometry: bool = True) -> tuple[set[str], float, float]:
-    """Return the codes of what is told, and heading error and sigma (rms), deg, of a sensor that is ``off_deg`` off."""
+def solved(
+    seed: int, off_deg: float, sensor: str = "compass", odometry: bool = True
+) -> tuple[dict[str, str], float, float]:
+    """Return what is told by its codes, and heading error and sigma (rms), deg, of a sensor that is ``off_deg`` off."""
     chosen, log, settings = rover(seed, sensor, odometry)
     off, had = np.radians(off_deg), log.fixes[sensor]
     turn = rotation.matrix(rotation.exp_quaternion(np.array([0.0, 0.0, off])))
@@ -50,13 +52,14 @@ def solved(seed: int, off_deg: float, sensor: str = "compass", odometry: bool = 
     )
     error = np.einsum("ki,ki->k", rotation.matrix(est.smoothed.q)[:, 2], error_b)
     rms = (float(np.degrees(np.sqrt(np.mean(x**2)))) for x in (error, est.passes["smoothed"].sigma_n[:, 2]))
-    return {w.code for w in est.warnings}, *rms
+    return {w.code: w.message for w in est.warnings}, *rms
 
 
 @pytest.mark.parametrize(("sensor", "off"), [("compass", 8.0), ("compass", -40.0), ("magnetometer", 15.0)])
 def test_a_heading_sensor_that_is_off_is_told_and_taken_out(sensor: str, off: float) -> None:
     told, error, sigma = solved(1, off, sensor)
-    assert f"{sensor}-offset" in told
+    way = "counter-clockwise" if off < 0.0 else "clockwise"  # a field seen counter-clockwise is a heading clockwise
+    assert f"too far {way} for" in told[f"{sensor}-offset"]
     assert error < min(3.0 * sigma, 1.0)
 
 
