@@ -177,16 +177,24 @@ def drive_sigma(P: Array, n_r: float, n_w: float, t: Array) -> Array:
     return np.sqrt(np.linalg.eigvalsh(grown)[:, -1] + n_r * t + n_w * t**3 / 3)
 
 
-def longest_drive(t: Array, forward: Pass, segmentation: Segmentation, noise: Noise, threshold: float) -> float | None:
+def longest_drive(
+    t: Array, forward: Pass, segmentation: Segmentation, noise: Noise, threshold: float, datum: Array | None = None
+) -> float | None:  # fmt: skip
     """Return the longest drive, s, whose smoothed middle stays below ``threshold``, rad, between stops as good as
-    this log's.
+    this log's. ``datum`` (n,): variance of heading, rad^2, that is one draw for all of the log.
 
     Half-way both passes are equally sure, so the smoothed variance is half the forward one at half the time.
     """
     ends = [int(np.searchsorted(t, s.used_end)) for s in segmentation.stops]
     if not ends:
         return None
-    P = np.median(forward.P[np.minimum(ends, len(t) - 1)], axis=0)
+    rows = np.minimum(ends, len(t) - 1)
+    P = forward.P[rows].copy()
+    if datum is not None:
+        up = rotation.matrix(forward.q[rows])[:, 2]
+        known = np.einsum("ki,kij,kj->k", up, P[:, :3, :3], up)
+        P[:, :3, :3] -= np.minimum(datum[rows], known)[:, None, None] * up[:, :, None] * up[:, None, :]
+    P = np.median(P, axis=0)
     lengths = np.geomspace(1.0, LONGEST_S, 400)
     below = drive_sigma(P, noise.n_r, noise.n_w, 0.5 * lengths) / np.sqrt(2.0) < threshold
     return float(lengths[np.flatnonzero(below)[-1]]) if below.any() else 0.0
@@ -203,7 +211,7 @@ def stop_advice(
     smoothed = np.degrees(_without(passes["smoothed"].sigma_n, None if datum is None else datum[-1:]))
     over = moving & (sigma.max(axis=1) > threshold_deg)
     heading = bool(np.any(over & (sigma[:, 2] >= sigma[:, :2].max(axis=1))))
-    longest = longest_drive(t, passes["forward"], segmentation, noise, np.radians(threshold_deg))
+    longest = longest_drive(t, passes["forward"], segmentation, noise, np.radians(threshold_deg), datum)
     lines = []
     for stop, motion in pairwise(segmentation.segments):
         if stop.motion or not motion.motion:

@@ -112,8 +112,8 @@ def told_numb(name: str, columns: Sequence[str], t: Array, gyro: Array) -> list[
 
 
 def told_unlike(name: str, columns: Sequence[str], gyro: Array) -> list[Warn]:
-    """Say which axis of the gyro (n, 3) is in another unit than both others: its noise is a multiple of theirs, at the
-    quietest and in all windows, as no axis is of a gyro whose others are like each other.
+    """Say which axis of the gyro (n, 3) is in another unit than both others, which are like each other: its noise is a
+    multiple of theirs, at the quietest and in all windows. One that is less noisy may be a better sensor.
     """
     count = min((len(gyro) - 1) // WINDOW, WINDOWS)
     if count < FEWEST:
@@ -124,6 +124,9 @@ def told_unlike(name: str, columns: Sequence[str], gyro: Array) -> list[Warn]:
         return []  # its noise is not to be seen
     size = steps.std(axis=1)
     quiet = size <= np.quantile(size, CALM, axis=0)
+    back = np.mean(steps[:, 1:] * steps[:, :-1], axis=1)
+    if any(float(np.mean(back[quiet[:, i], i])) >= 0.0 for i in range(3)):
+        return []  # motion without noise: steps of noise turn back
     calm = np.array([float(np.median(size[quiet[:, i], i])) for i in range(3)])
     for axis, column in enumerate(columns):
         others = np.delete(calm, axis)
@@ -134,7 +137,7 @@ def told_unlike(name: str, columns: Sequence[str], gyro: Array) -> list[Warn]:
         if others.max() < ALIKE * others.min() and (many or few) and always:
             fact = f"{name}: {column} is {times:.2g} times as noisy as the other axes of the gyro"
             hint = "name the columns with their units (--columns, gyro_x_dps), or mend the driver"
-            return [Warn("unit-contradicted", f"{fact}: is it in another unit?", hint, fatal=True)]
+            return [Warn("unit-contradicted", f"{fact}: is it in another unit?", hint, fatal=many)]
     return []
 
 

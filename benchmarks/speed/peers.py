@@ -161,7 +161,8 @@ def page(rows: Sequence[Row], whole: Whole, spent: Spent, started: Sequence[tupl
 `python benchmarks/speed/peers.py{" --long" * bool(long)}` makes this page ({machine}; CPU time, user + system,
 the least of the runs; attest runs before the peers and after them, {WHOLE_RUNS} times as often in the whole job;
 ratios below 1.3 are undecided). The log: `attest simulate rover`, {RATE_HZ} Hz IMU, {SENSORS.replace(",", ", ")};
-ROS 2 MCAP in zstd. (A log whose gyro looks out of scale is filtered twice: 0.2 s an hour more.) Smoothers get arrays,
+ROS 2 MCAP in zstd. (The log states that its gyro has no scale error. Where nothing is
+stated the filter runs once more to look for one: 0.2 s an hour.) Smoothers get arrays,
 and only their own work counts; attest's is from preintegration to full-rate attitude with its sigma. Readers make
 objects or arrays of all messages; attest's is its read stage, the first in the process. `ratio` is the peer's cost over
 attest's.

@@ -132,7 +132,7 @@ def _noisy(done: Navigated, *, explained: bool) -> Iterator[Warn]:
 
 def _shower(done: Navigated) -> str:
     """Return the sensor whose way shows the heading."""
-    return next((aid.role for aid in done.problem.aids if isinstance(aid, Place)), "gps")
+    return next((aid.role for aid in done.problem.aids if isinstance(aid, Place)), "gps_velocity")
 
 
 def _run(done: Navigated, known: list[offsets.Offset]) -> FilterRun:
@@ -150,7 +150,7 @@ def _run(done: Navigated, known: list[offsets.Offset]) -> FilterRun:
     return FilterRun(
         nodes.t, at.q, at.x[:, bias], found.found.chain, None, solve.innovations(found.found, found.rows), nodes.moving,
         done.problem.heading, begun.start_in_motion,
-        read, beforehand=offsets.beforehand(at.x, known), datum=offsets.datum(found.found.chain.P, known),
+        read, beforehand=offsets.beforehand(at.x, known), datum=offsets.datum(found.found.chain.P, at.q, known),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...maths import rotation
 from ...maths.kalman import Errors
 from ...records import Array, Warn
 from ...settings import Settings
@@ -21,8 +22,8 @@ LEAST_SEEN = 1e-3  # of the prior variance: what the fixes take from it at least
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """A heading sensor's offset: ``angle`` (counter-clockwise) and ``sigma`` as the fixes alone show it, its prior
-    sigma ``assumed``, the ``stated`` one; rad. ``at`` its place among the states, ``P`` its variance there.
+    """A heading sensor's offset: ``angle`` (counter-clockwise) and ``sigma`` as all else shows it, fixes above all, its
+    prior sigma ``assumed``, the ``stated`` one; rad. ``at`` its place among the states, ``P`` its variance there.
     """
 
     role: str
@@ -62,7 +63,8 @@ def _stated(settings: Settings, role: str) -> float:
 
 
 def offsets(settings: Settings, layout: Layout, prior: Array, found: Solution) -> Iterator[Offset]:
-    r"""Yield what the fixes show of every offset: the estimate :math:`o_s,P` without its ``prior`` (s, s), :math:`s^2`
+    r"""Yield what all else (fixes, and other heading sensors with the offsets that theirs may have) shows of every
+    offset: the estimate :math:`o_s,P` without its ``prior`` (s, s), :math:`s^2`
 
     .. math:: o=o_s\frac{s^2}{s^2-P},\quad\sigma^2=P\frac{s^2}{s^2-P}
     """
@@ -122,9 +124,17 @@ def beforehand(x: Array, known: Sequence[Offset]) -> tuple[Array, Array] | None:
     return Y, -x @ Y
 
 
-def datum(P: Array, known: Sequence[Offset]) -> Array:
-    """Return the variance (n,) of heading, rad^2, that offsets make of covariances (n, s, s): one draw for all."""
-    return np.asarray(sum((P[:, o.at, o.at] + o.doubt**2 for o in known), start=np.zeros(len(P))))
+def datum(P: Array, q: Array, known: Sequence[Offset]) -> Array:
+    r"""Return the variance (n,) of heading, rad^2, that offsets make, one draw for all of the log, of covariances
+    (n, s, s) at attitudes (n, 4): :math:`CP_{oo}^{-1}C^T`, with :math:`C` the covariance of heading and offsets, and
+    what their prior is in doubt.
+    """
+    if not known:
+        return np.zeros(len(P))
+    at = np.array([o.at for o in known])
+    C = np.einsum("ki,kio->ko", rotation.matrix(q)[:, 2], P[:, :3, at])
+    gain = np.linalg.solve(P[:, at[:, None], at] + 1e-18 * np.eye(len(at)), C[..., None])[..., 0]
+    return np.asarray(np.sum(gain * C, axis=1) + gain**2 @ np.array([o.doubt**2 for o in known]))
 
 
 def doubts(known: Iterable[Offset], by: str) -> list[Warn]:

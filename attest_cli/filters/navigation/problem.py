@@ -46,7 +46,7 @@ MOTIONS = {  # place m, speed m/s of a motion without any sensor of them
     "drone": (np.inf, 15.0),
 }
 HAND_WALK, HAND_RAD_S = 4e-4, 0.25  # rad/s^2/sqrt(Hz): bias of a MEMS gyro in a hand that turns it so; none stated
-MOST_NODES = 12_000  # about 3 GB at 30 states
+MOST_NODES = 12_000  # about 4 GB at 30 states
 LIVELY_SPACING_S = 0.05  # between nodes of such a log; 0.1 s costs 3 % of accuracy there
 
 Tune = Callable[[Sequence[Aid], Layout, Trajectory], list[Aid]]

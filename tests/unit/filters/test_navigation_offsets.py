@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from support.drives import effective
 
 from attest_cli import estimate
-from attest_cli.filters.navigation.offsets import Offset, beforehand, settled
+from attest_cli.filters.navigation.offsets import Offset, beforehand, datum, settled
 from attest_cli.maths import rotation
 from attest_cli.maths.kalman import Errors
 from attest_cli.prepare import prepare
@@ -114,3 +114,23 @@ def test_the_backward_pass_knows_the_prior_of_an_offset() -> None:
     assert pytest.approx(np.diag([0.0, 400.0])) == Y
     assert y == pytest.approx(-400.0 * x)
     assert beforehand(x, []) is None
+
+
+def test_the_datum_is_what_of_heading_its_offsets_make_and_no_more() -> None:
+    """Heading is own noise plus a half of one offset and a third of the other, which go together."""
+    rng = np.random.default_rng(3)
+    q = rotation.normalise(rng.normal(size=(5, 4)))
+    up = rotation.matrix(q)[:, 2]
+    of_offsets = np.array([[0.02, 0.006], [0.006, 0.01]])
+    share, own = np.array([0.5, 1.0 / 3.0]), 3e-4
+    T = np.zeros((5, 5, 3))  # attitude, offsets <- own noise, offsets
+    T[:, :3, 0], T[:, :3, 1:] = up, up[:, :, None] * share
+    T[:, 3:, 1:] = np.eye(2)
+    inner = np.zeros((3, 3))
+    inner[0, 0], inner[1:, 1:] = own, of_offsets
+    P = T @ inner @ T.swapaxes(1, 2)
+    known = [Offset(role, 0.0, 0.02, 0.05, 0.05, at, 1e-4) for role, at in (("compass", 3), ("magnetometer", 4))]
+    doubted = sum((o.doubt * x) ** 2 for o, x in zip(known, share, strict=True))
+    np.testing.assert_allclose(datum(P, q, known), share @ of_offsets @ share + doubted, rtol=1e-6)
+    heading = np.einsum("ki,kij,kj->k", up, P[:, :3, :3], up)
+    np.testing.assert_allclose(heading - datum(P, q, known) + doubted, own, rtol=1e-6)

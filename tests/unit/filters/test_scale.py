@@ -48,6 +48,21 @@ def test_a_scale_is_found_within_its_sigma(job: Job, factor: float) -> None:
     assert abs(error - (1.0 / factor - 1.0)) < 3.0 * sigma
 
 
+@pytest.mark.parametrize(("factor", "assumed"), [(1.0, 0.003), (0.99, 0.003), (0.99, 0.0)])
+def test_outliers_of_the_sun_bend_no_scale(job: Job, factor: float, assumed: float) -> None:
+    """One in twenty is 25 deg off."""
+    sun, rng = job.log.fixes["sun"], np.random.default_rng(5)
+    off = rng.random(len(sun.t)) < 0.05
+    values = sun.values + np.where(off[:, None], [0.4, -0.1, 0.0][: sun.values.shape[1]], 0.0)
+    drive = unstated(scaled(job, factor), assumed)
+    log = replace(drive.log, fixes={**drive.log.fixes, "sun": replace(sun, values=values)})
+    exact = indirect._exact(indirect._begin(replace(drive, log=log), None))
+    assert exact.nodes.measured.size == sum(1 for group in exact.nodes.measurements if group)
+    error, sigma = learn(exact.nodes, exact.run).common()
+    assert sigma < 0.005
+    assert abs(error - (1.0 / factor - 1.0)) < 3.5 * sigma
+
+
 def test_its_estimate_is_that_of_the_likelihood(job: Job) -> None:
     """The squared innovations of three runs, each with another scale, lie on a parabola with that minimum."""
     error, sigma = found(scaled(job, 1.01), job)
