@@ -29,7 +29,6 @@ ABSURD = 10.0  # times its noise: no gyro drifts so in motion, it contradicts th
 ACCELEROMETER = {"accel-bias", "accel-scale"}  # causes that are none of the gyro
 FEW_MOTIONS = 4
 FAR = 30.0  # NIS that is larger counts as this
-UNSEEN_SCALE = 5e-3  # scale error of a gyro as it comes: what is assumed elsewhere, sensors bound
 UNKNOWN_RAD = 0.7  # an attitude worse than this over a motion is not known at all
 SURE = 1e-4  # chance of a misfit taken as proof
 
@@ -64,7 +63,7 @@ def forward(drive: Drive, epochs: Array | None = None) -> Forward:
             causes = closure.doubts(better, raised=raised > 1.0)
     if epochs is None and begun.drive.noise.gyro_scale > 0.0 and _heading(found) == "relative":
         stated = begun.drive.settings.imu.gyro_scale_sigma is not None
-        nodes = _turning(nodes, found, 0.0 if stated else UNSEEN_SCALE)
+        nodes = _turning(nodes, found, 0.0 if stated else scale.AS_IT_COMES)
         found = run(nodes, begun.start, gate)
     noise, warnings = begun.drive.noise, [*begun.warnings]
     if raised > 1.0:

@@ -16,6 +16,7 @@ from ..nodes import Nodes
 from ..records import Array, FilterRun, Warn
 from . import Drive
 
+AS_IT_COMES = 5e-3  # scale error of a gyro, where nothing bounds it or states of the navigation take it up
 VAGUE = 0.002  # of which wheels are asked too: less makes no error that an assumed scale does not cover
 KNOWN, LARGEST = 0.02, 0.1  # a scale error is learnt to so much or not at all; a larger one is another fault
 ASKED = frozenset({"gravity", "zero_rate", "sun"})

@@ -1,4 +1,6 @@
-"""Stuck and frozen axes: a sensor whose noise stops has stopped to measure; it has not come to rest."""
+"""What the noise of an axis tells: where it stops the axis is stuck, it has not come to rest; where it is a multiple of
+that of both others the axis is in another unit.
+"""
 
 from __future__ import annotations
 

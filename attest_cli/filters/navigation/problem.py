@@ -15,6 +15,7 @@ from ...records import Array, Warn
 from ...wheels import Judged
 from .. import Drive
 from ..choice import LIVELY_RAD_S, liveliness
+from ..scale import AS_IT_COMES
 from . import colours, jumps
 from .aids import Aid, Bound, Magnetometer, Place, Seen, Wheels, ZeroRate
 from .field import field_at_nodes, field_states, start_field, tuned_field
@@ -32,7 +33,6 @@ STILL_M_S = 0.01  # a stop may rock this much
 SPEED_S, PLACE_S = 1.0, 10.0  # correlation times of the bounds: speed turns soon, who stands elsewhere stays there
 RATE_SHARE = 1e-3  # of the rate: what scale and misalignment leave as noise, rad/s/sqrt(Hz)
 ACCEL_FLOOR, ACCEL_SHARE = 0.05, 0.03  # m/s^2/sqrt(Hz) in motion where no density is stated; share of the acceleration
-SCALE_SIGMA = 5e-3
 ARM_SIGMA_M = 0.5  # where an antenna or the wheels may be from the IMU
 NEAR_M = 100.0  # how far off the start may be at once; further for every second before the first fix
 ROLLING_M_S = 30.0  # of what has wheels, m/s at the start
@@ -202,7 +202,7 @@ def _core_states(drive: Drive) -> list[State]:
         State("gyro bias", 3, cfg.imu.gyro_bias_sigma), State("accelerometer bias", 3, cfg.imu.accel_bias_sigma),
     ]  # fmt: skip
     if drive.noise.gyro_scale > 0.0:
-        states.append(State("gyro scale", 9, max(SCALE_SIGMA, drive.noise.gyro_scale)))
+        states.append(State("gyro scale", 9, max(AS_IT_COMES, drive.noise.gyro_scale)))
     if cfg.imu.accel_scale_sigma > 0.0:
         states.append(State("accelerometer scale", 3, cfg.imu.accel_scale_sigma))
     return states

@@ -9,7 +9,7 @@ import pytest
 from support.drives import Job, simulated
 
 from attest_cli.filters import Drive, indirect
-from attest_cli.filters.scale import doubted, learn, mended
+from attest_cli.filters.scale import AS_IT_COMES, doubted, learn, mended
 from attest_cli.maths import rotation
 from attest_cli.nodes import build_nodes
 from attest_cli.nodes.observations import observe
@@ -184,9 +184,7 @@ def test_a_heading_that_nothing_sees_is_as_unsure_as_a_scale_error_of_the_turn_s
     vertical = np.einsum("ki,ki->k", R[1:, 2], rotation.log_quaternion(with_turns.nodes.increments.dq))
     turned = np.maximum.accumulate(np.abs(np.cumsum(vertical)))
     expected = (
-        np.zeros(len(R))
-        if sun
-        else (max(scale, indirect.UNSEEN_SCALE) * (scale > 0.0) * np.concatenate([[0.0], turned])) ** 2
+        np.zeros(len(R)) if sun else (max(scale, AS_IT_COMES) * (scale > 0.0) * np.concatenate([[0.0], turned])) ** 2
     )
     if sun:
         np.testing.assert_allclose(heading[0], heading[1], rtol=1e-6)
