@@ -15,11 +15,10 @@ import numpy as np
 from ...maths import rotation, strapdown
 from ...maths.propagation import Steps
 from ...nodes import Nodes
-from ...records import Array, Bools, Imu
+from ...records import Array, Bools, Imu, Ints
 from . import colours
 from .states import Layout
 
-FAR_RAD = 0.01  # defects beyond this turn the linearisation
 FROZEN = 1e-14  # rad^2/s: keeps the covariance of a held attitude regular
 BLIND_M_S2 = 3.0  # how hard a vehicle may accelerate in a hole of the IMU
 
@@ -52,7 +51,8 @@ class Trajectory:
 @dataclass(frozen=True, slots=True)
 class Inertial:
     """The IMU between nodes: ``steps`` (rates, not held at stops), ``force0``, ``force1`` (s, 3) on the same grid,
-    ``frozen`` and ``gap`` (n - 1,), spectral densities ``gyro`` and ``accel`` (n - 1,), walks, gravity.
+    ``frozen`` and ``gap`` (n - 1,), spectral densities ``gyro`` and ``accel`` (n - 1,), walks, gravity; the ``slope``
+    by which an error of heading moves velocity, of the force: less than 1 where noise is much of the force.
     """
 
     steps: Steps
@@ -65,6 +65,7 @@ class Inertial:
     gyro_walk: float
     accel_walk: float
     gravity: float
+    slope: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +78,25 @@ class Linear:
     motion: strapdown.Motion
 
 
-def linearise(inertial: Inertial, layout: Layout, at: Trajectory) -> Linear:
-    """Preintegrate with the trajectory's own sensor errors and linearise about it."""
+def linearise(inertial: Inertial, layout: Layout, at: Trajectory, *, smoothed: bool = True) -> Linear:
+    r"""Preintegrate with the trajectory's own sensor errors and linearise about it.
+
+    What is left of the motion, :math:`u_k`, is taken in the axes of the body, so its slope to the attitude is that of
+    the motion which the trajectory makes, :math:`R_k^T(v_{k+1}-v_k-gT)` for the force, and no noise of the IMU feigns
+    a turn that shows scale or heading. A trajectory that is not ``smoothed`` yet makes none: its slope is the IMU's.
+    """
     corrected, force0, force1 = _corrected(inertial, layout, at)
-    motion = strapdown.preintegrate(corrected, force0, force1)
+    measured = strapdown.preintegrate(corrected, force0, force1)
     held = inertial.frozen | inertial.gap
-    motion.q_bg[held], motion.v_bg[held], motion.p_bg[held] = 0.0, 0.0, 0.0
-    m, s = len(motion.span), layout.size
-    R = rotation.matrix(at.q[:-1])
+    measured.q_bg[held], measured.v_bg[held], measured.p_bg[held] = 0.0, 0.0, 0.0
+    m, s = len(measured.span), layout.size
+    R, wander = rotation.matrix(at.q[:-1]), colours.indices(layout)
     Phi, Q = np.tile(np.eye(s), (m, 1, 1)), np.zeros((m, s, s))
+    Phi[:, wander[:, None], wander] = fading = colours.fading(layout, measured.span)
+    u = _defect(inertial, at, measured, wander, fading)
+    motion = _made(measured, at, R, u if smoothed else np.zeros_like(u))
     Phi[:, :15, :15] = strapdown.transition(R, motion)
-    Q[:, :15, :15] = _core_noise(inertial, R, motion)
+    _levelled(Phi, R[:, 2], inertial.slope)
     if "gyro scale" in layout:  # acts as a bias of scale times the mean rate
         for row, slope in ((0, motion.q_bg), (3, R @ motion.v_bg), (6, R @ motion.p_bg)):
             product = np.einsum("kij,kl->kijl", slope, motion.rate).reshape(m, 3, 9)
@@ -95,12 +104,10 @@ def linearise(inertial: Inertial, layout: Layout, at: Trajectory) -> Linear:
     if "accelerometer scale" in layout:
         for row, slope in ((3, R @ motion.v_ba), (6, R @ motion.p_ba)):
             Phi[:, row : row + 3, layout.parts["accelerometer scale"]] = slope * motion.force[:, None, :]
-    wander = colours.indices(layout)
-    Phi[:, wander[:, None], wander] = colours.fading(layout, motion.span)
-    Q[:, wander[:, None], wander] = colours.driving(layout, motion.span)
-    u = _defect(inertial, layout, at, motion, Phi)
-    found = Linear(Phi, Q, u, motion)
-    _open_gaps(inertial, motion, at, found)
+    Q[:, :15, :15] = _core_noise(inertial, R, measured)
+    Q[:, wander[:, None], wander] = colours.driving(layout, measured.span)
+    found = Linear(Phi, Q, u, measured)
+    _open_gaps(inertial, measured, at, found)
     return found
 
 
@@ -143,20 +150,35 @@ def _corrected(inertial: Inertial, layout: Layout, at: Trajectory) -> tuple[Step
     return replace(steps, rate0=rate0, rate1=rate1), force0, force1
 
 
-def _defect(inertial: Inertial, layout: Layout, at: Trajectory, motion: strapdown.Motion, Phi: Array) -> Array:
-    """Return what the trajectory lacks to be the motion (n - 1, s); turn ``Phi`` where the attitude lacks much."""
+def _defect(inertial: Inertial, at: Trajectory, motion: strapdown.Motion, wander: Ints, fading: Array) -> Array:
+    """Return what the trajectory lacks to be the motion (n - 1, s)."""
     down, T = np.array([0.0, 0.0, -inertial.gravity]), motion.span[:, None]
     ahead = at.x[:-1].copy()
     ahead[:, 3:6] = at.v[:-1] + down * T + rotation.rotate(at.q[:-1], motion.dv)
     ahead[:, 6:9] = at.p[:-1] + at.v[:-1] * T + 0.5 * down * T**2 + rotation.rotate(at.q[:-1], motion.dp)
-    wander = colours.indices(layout)
-    ahead[:, wander] = np.einsum("kij,kj->ki", Phi[:, wander[:, None], wander], at.x[:-1, wander])
+    ahead[:, wander] = np.einsum("kij,kj->ki", fading, at.x[:-1, wander])
     u = ahead - at.x[1:]
     turned = rotation.multiply(at.q[:-1], motion.dq)
     u[:, :3] = rotation.log_quaternion(rotation.multiply(rotation.conjugate(at.q[1:]), turned))
-    far = np.flatnonzero(np.linalg.norm(u[:, :3], axis=1) > FAR_RAD)
-    Phi[far, :3] = rotation.inverse_right_jacobian(u[far, :3]) @ Phi[far, :3]
     return u
+
+
+def _made(motion: strapdown.Motion, at: Trajectory, R: Array, u: Array) -> strapdown.Motion:
+    """Return the motion that a trajectory makes: without what it lacks, ``u``."""
+    T, dq = motion.span[:, None], rotation.multiply(rotation.conjugate(at.q[:-1]), at.q[1:])
+    dv, dp = (np.einsum("kji,kj->ki", R, u[:, i : i + 3]) for i in (3, 6))
+    back = rotation.matrix(rotation.exp_quaternion(u[:, :3]))
+    return replace(
+        motion, dq=dq, q_bg=back @ motion.q_bg, dv=motion.dv - dv, dp=motion.dp - dp,
+        rate=motion.rate - u[:, :3] / T, force=motion.force - dv / T,
+    )  # fmt: skip
+
+
+def _levelled(Phi: Array, up: Array, slope: float) -> None:
+    """Let an error of heading move velocity and position by ``slope`` only; ``up`` (n - 1, 3), body axes."""
+    if slope < 1.0:
+        moved = np.einsum("kij,kj->ki", Phi[:, 3:9, :3], up)
+        Phi[:, 3:9, :3] -= (1.0 - slope) * moved[:, :, None] * up[:, None, :]
 
 
 def _open_gaps(inertial: Inertial, motion: strapdown.Motion, at: Trajectory, lin: Linear) -> None:

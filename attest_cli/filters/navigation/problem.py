@@ -297,12 +297,16 @@ def _prior(form: Layout, at: Trajectory, heading: str, place_m: float | None) ->
     place where fixes give it.
     """
     P = colours.steady(np.diag(form.prior()), form)
-    R = rotation.matrix(at.q[0])
-    yaw = DATUM if heading == "relative" else HEADING_SIGMA
-    P[:3, :3] = (R.T * np.array([TILT_SIGMA, TILT_SIGMA, yaw]) ** 2) @ R
+    P[:3, :3] = upright(at.q[0], DATUM if heading == "relative" else HEADING_SIGMA)
     if place_m is not None:
         P[6:9, 6:9] = place_m**2 * np.eye(3)
     return Trajectory(at.q[:1], at.x[:1]), P
+
+
+def upright(q: Array, heading: float) -> Array:
+    """Return the covariance (3, 3) of the first attitude ``q`` (4,) in body axes, its heading known to a sigma, rad."""
+    R = rotation.matrix(q)
+    return np.asarray((R.T * np.array([TILT_SIGMA, TILT_SIGMA, heading]) ** 2) @ R)
 
 
 __all__ = ["Problem", "assemble", "motion_of", "node_spacing"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,8 +14,9 @@ from ...settings import Settings
 from ...wheels import Judged
 from .. import Drive, Forward, indirect
 from ..wheeled import believed, smoothed
-from . import colours, components, solve
+from . import colours, components, feigned, solve
 from .aids import Place, Wheels
+from .feigned import BORNE_OUT, SURE
 from .fixes import epochs_of
 from .identify import identify, scaled_inertial, stretch, widened
 from .model import Inertial, Trajectory
@@ -27,7 +28,7 @@ from .streams import clock_of, own_nodes
 FIRST_PASSES, AUTO_PASSES = 5, 9
 ROUNDS = 4  # of finding how late the fixes are, and where their antenna is
 LEAST_LAG_S, MOST_LAG_S = 2e-3, 1.0  # a receiver may be late by as much
-SURE = 3.0  # sigmas from which a lag or an arm is believed
+STEEP = 0.9  # slope of a state that noise feigns little of
 SHOWN = 0.5  # of its prior sigma: what a drive must leave of an axis of a lever arm that it shows
 SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to begin with, from which it is found
 
@@ -35,7 +36,8 @@ SAFE_GYRO, SAFE_ACCEL = 3e-2, 0.3  # rad/s/sqrt(Hz), m/s^2/sqrt(Hz): noise to be
 @dataclass(frozen=True, slots=True)
 class Learnt:
     """What earlier rounds found: ``lags`` s, ``arms`` that are no states (any more), ``factors`` on noise, ``jumps`` of
-    fixes, which ``odometry`` is believed, how far heading sensors are ``off``, rad.
+    fixes, which ``odometry`` is believed, how far heading sensors are ``off``, rad, ``slopes`` of states that noise
+    feigns.
     """
 
     lags: Mapping[str, float] = field(default_factory=dict)
@@ -44,6 +46,7 @@ class Learnt:
     jumps: components.Jumps = field(default_factory=dict)
     odometry: Judged | None = None
     off: Mapping[str, float] = field(default_factory=dict)
+    slopes: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +67,19 @@ def navigate(drive: Drive) -> Navigated:
     learnt = Learnt(arms=_stated_arms(drive))
     done = _round(drive, learnt, None)
     for _ in range(ROUNDS - 1):
-        lags = _lags(done.problem, done.found, done.learnt.lags)
+        clocks = _clocks(done)
+        lags = _lags(clocks, done.learnt.lags)
+        slopes = {f"{role} lag": c.slope for role, c in clocks.items() if role not in lags and c.slope < STEEP}
+        slopes = {name: slope for name, slope in slopes.items() if name not in done.learnt.slopes}
         arms = {} if lags else _hidden_arms(done.problem, done.found)  # a lag hides them
         off = wider(known_offsets(drive, done))
-        if not lags and not arms and not off:
+        if not (lags or arms or off or slopes):
             break
         learnt = done.learnt
         total = {role: learnt.lags.get(role, 0.0) + lags.get(role, 0.0) for role in {*learnt.lags, *lags}}
-        done = _round(drive, replace(learnt, lags=total, arms={**learnt.arms, **arms}, off={**learnt.off, **off}), done)
+        learnt = replace(learnt, lags=total, arms={**learnt.arms, **arms}, off={**learnt.off, **off},
+                         slopes={**learnt.slopes, **slopes})  # fmt: skip
+        done = _round(drive, learnt, done)
     return done
 
 
@@ -93,6 +101,10 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
         problem = replace(problem, at=_resumed(before, problem.layout, nodes.t))
     problem, learnt = _with_noise(drive, problem, learnt, begin=before is None)
     found = _solved(drive, problem)
+    if begun.run.heading == "relative" and problem.heading == "absolute":
+        surer = feigned.surveyed(problem, found)
+        if surer is not None:
+            problem, found = surer, _solved(drive, surer)
     return Navigated(begun, nodes, problem, found, learnt)
 
 
@@ -150,7 +162,7 @@ def _with_noise(drive: Drive, problem: Problem, learnt: Learnt, *, begin: bool) 
         learnt = _judged(replace(problem, inertial=inertial, aids=aids, at=at), learnt, free)
     factors = learnt.factors
     aids = tuple(a.scaled(factors.get(a.role, 1.0)) if isinstance(a, Place | Wheels) else a for a in problem.aids)
-    form, (start, P0) = problem.layout.scaled(factors), problem.prior
+    form, (start, P0) = problem.layout.scaled(factors).sloped(learnt.slopes), problem.prior
     form = form.loosened(components.loose(aids, learnt.jumps, learnt.lags, len(problem.at.q)))
     return replace(
         problem, layout=form, prior=(start, colours.steady(P0, form)),
@@ -203,24 +215,37 @@ def _solved(drive: Drive, problem: Problem) -> solve.Solution:
     return solve.solve(problem.layout, problem.prior, problem.inertial, problem.aids, problem.at, most, problem.tune)
 
 
-def _lags(problem: Problem, found: solve.Solution, known: Mapping[str, float]) -> dict[str, float]:
-    """Return how late fixes still are, s, where that is sure, and can be."""
-    return {role: lag for role, lag in _sure_lags(problem, found) if abs(known.get(role, 0.0) + lag) < MOST_LAG_S}
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """How late fixes still are: ``lag``, s, whether that is ``sure``, and the ``slope`` of the state."""
+
+    lag: float
+    sure: bool
+    slope: float
 
 
-def _sure_lags(problem: Problem, found: solve.Solution) -> Iterator[tuple[str, float]]:
-    """Yield how late fixes still are, s, where that is sure."""
+def _clocks(done: Navigated) -> dict[str, Clock]:
+    """Return the clocks of fixes that matter: those that seem late, and all where noise feigns much of the heading."""
+    problem, found, out = done.problem, done.found, {}
     for name, part in problem.layout.parts.items():
         if name.endswith(" lag"):
-            at = part.start
-            lag, sigma = float(found.smoothed.x[0, at]), float(np.sqrt(found.errors.P[0, at, at]))
-            if abs(lag) > max(LEAST_LAG_S, SURE * sigma):
-                yield name.removesuffix(" lag"), lag
+            lag, sigma = float(found.smoothed.x[0, part.start]), float(np.sqrt(found.errors.P[0, part, part].item()))
+            if problem.inertial.slope < 1.0 or abs(lag) > max(LEAST_LAG_S, SURE * sigma):
+                role, doubt = name.removesuffix(" lag"), feigned.constant(problem, found, name)
+                on = lag * done.learnt.lags.get(role, 0.0) > 0.0  # the way that was borne out: costs are flat far off
+                sure = abs(lag) > LEAST_LAG_S and doubt.claimed > SURE and (on or doubt.borne_out > BORNE_OUT)
+                out[role] = Clock(lag, sure, doubt.slope)
+    return out
+
+
+def _lags(clocks: Mapping[str, Clock], known: Mapping[str, float]) -> dict[str, float]:
+    """Return how late fixes still are, s, where that is sure, and can be."""
+    return {r: c.lag for r, c in clocks.items() if c.sure and abs(known.get(r, 0.0) + c.lag) < MOST_LAG_S}
 
 
 def left_lags(done: Navigated) -> dict[str, float]:
     """Return how late, s, fixes would be that are later than a receiver can be: they were not moved by that."""
-    whole = {role: done.learnt.lags.get(role, 0.0) + lag for role, lag in _sure_lags(done.problem, done.found)}
+    whole = {role: done.learnt.lags.get(role, 0.0) + clock.lag for role, clock in _clocks(done).items() if clock.sure}
     return {role: lag for role, lag in whole.items() if abs(lag) >= MOST_LAG_S}
 
 

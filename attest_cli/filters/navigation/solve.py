@@ -33,7 +33,10 @@ class Stack:
 
 def stack(aids: Sequence[Aid], layout: Layout, at: Trajectory) -> Stack:
     """Put the rows of all aids on the nodes."""
-    return pile([(aid, aid.rows(layout, at)) for aid in aids], len(at.q), layout.size)
+    slopes, every = layout.slopes(), [(aid, aid.rows(layout, at)) for aid in aids]
+    if np.any(slopes != 1.0):
+        every = [(aid, replace(rows, H=rows.H * slopes)) for aid, rows in every]
+    return pile(every, len(at.q), layout.size)
 
 
 def pile(placed: Sequence[tuple[Aid, Rows]], n: int, size: int) -> Stack:
@@ -85,6 +88,25 @@ def _model(lin: Linear, rows: Stack) -> tuple[sequential.Predict, sequential.Obs
 
 
 @dataclass(frozen=True, slots=True)
+class Weighted:
+    """An aid whose weights (k,) do not change."""
+
+    aid: Aid
+    weight: Array
+    robust: bool = False
+
+    @property
+    def role(self) -> str:
+        """Name among the innovations."""
+        return self.aid.role
+
+    def rows(self, layout: Layout, at: Trajectory) -> Rows:
+        """Return its rows with the weights in their sigma."""
+        rows = self.aid.rows(layout, at)
+        return replace(rows, sigma=rows.sigma / np.sqrt(self.weight)[:, None])
+
+
+@dataclass(frozen=True, slots=True)
 class Solution:
     """The last pass: the trajectory ``at`` it is linear about, the forward ``found``, smoothed ``errors`` about the
     forward pass, the rows used, and by how many sigmas the last of ``passes`` still moved a state.
@@ -106,6 +128,20 @@ class Solution:
     def smoothed(self) -> Trajectory:
         """The smoothed trajectory."""
         return self.at.moved(self.found.x + self.errors.d)
+
+    @property
+    def cost(self) -> float:
+        r"""What the log costs at its optimum, :math:`-2\log L` but for what no state changes: the squares of the
+        innovations over what is expected.
+        """
+        seen = np.isfinite(self.found.nu[:, 0])
+        nu = self.found.nu[seen]
+        return float(np.sum(nu * np.linalg.solve(self.found.S[seen], nu[:, :, None])[:, :, 0]))
+
+    @property
+    def weighted(self) -> tuple[Aid, ...]:
+        """The aids whose weights stay as they are: costs can be compared then."""
+        return tuple(Weighted(aid, weight) for aid, _, _, weight in self.rows.places)
 
 
 def solve(
@@ -131,7 +167,7 @@ def solve(
     passes, sigma, before, share = 0, None, None, 1.0
     while True:
         passes += 1
-        lin = linearise(inertial, layout, at)
+        lin = linearise(inertial, layout, at, smoothed=passes > 1)
         rows = stack(aids, layout, at)
         first, P0 = _prior(prior, at)
         found = forward(P0, lin, rows, first)
@@ -141,7 +177,7 @@ def solve(
             sigma = np.sqrt(np.maximum(smoothed, ROUNDED * filtered) + 1e-300)
         step = d / sigma
         move = float(np.max(np.abs(step)))
-        if passes >= most or move < SETTLED:
+        if passes >= most or (passes > 1 and move < SETTLED):
             return Solution(at, found, adjoint.smooth(found), rows, passes, move)
         share = share if before is None else _share(before, step, share)
         at, before = at.moved(share * d), step

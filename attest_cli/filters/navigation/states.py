@@ -16,7 +16,8 @@ CORE = ("attitude", "velocity", "position", "gyro bias", "accelerometer bias")
 class State:
     """A group of states. ``sigma`` prior (one for all, or one each); ``correlation_s``: 0 = a constant (it may walk),
     else a Gauss-Markov error of this time whose sigma stays. ``rate_of`` names the coloured group that it drives;
-    ``loose`` (n - 1,) factors on the variance of what drives a coloured group between nodes, where it jumps.
+    ``loose`` (n - 1,) factors on the variance of what drives a coloured group between nodes, where it jumps; ``slope``
+    by which measurements move with it: less than 1 where noise feigns much of what shows it (:mod:`feigned`).
     """
 
     name: str
@@ -25,6 +26,7 @@ class State:
     correlation_s: float = 0.0
     rate_of: str = ""
     loose: Array | None = None
+    slope: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,14 @@ class Layout:
     def loosened(self, loose: Mapping[str, Array]) -> Layout:
         """Return the layout with other factors (n - 1,) on what drives the named groups."""
         return layout(replace(s, loose=loose.get(s.name, s.loose)) for s in self.states)
+
+    def sloped(self, slopes: Mapping[str, float]) -> Layout:
+        """Return the layout with other slopes of named groups."""
+        return layout(replace(s, slope=slopes.get(s.name, s.slope)) for s in self.states)
+
+    def slopes(self) -> Array:
+        """Return the slopes (size,)."""
+        return np.concatenate([np.full(s.size, s.slope) for s in self.states])
 
     def within(self, between: slice) -> Layout:
         """Return the layout over some of the intervals between nodes."""
