@@ -21,7 +21,7 @@ STUDENT = 4.0  # degrees of freedom of the weights: outliers do not bend the tra
 @dataclass(frozen=True, slots=True)
 class Rows:
     """Measurements of one sensor: at ``node`` (k,), at ``t`` (k,): residual ``r`` (k, d), Jacobian ``H`` (k, d, s),
-    ``sigma`` (k, d).
+    ``sigma`` (k, d), wider by ``shared`` (k,) than each lies off, where neighbours share their error.
     """
 
     node: Ints
@@ -29,6 +29,14 @@ class Rows:
     r: Array
     H: Array
     sigma: Array
+    shared: Array | None = None
+
+    @property
+    def weight(self) -> Array:
+        """Weights (k,) by Student's t: how far a row lies off is judged by the error that it has, not by what is added
+        because its neighbours have the same.
+        """
+        return student(self.r, self.sigma if self.shared is None else self.sigma / self.shared[:, None])
 
     def within(self, first: int, last: int) -> Rows:
         """Return those at nodes ``[first, last)``, whose numbers then begin at zero."""
@@ -37,7 +45,8 @@ class Rows:
 
     def where(self, use: Bools) -> Rows:
         """Return some of them."""
-        return Rows(self.node[use], self.t[use], self.r[use], self.H[use], self.sigma[use])
+        shared = None if self.shared is None else self.shared[use]
+        return Rows(self.node[use], self.t[use], self.r[use], self.H[use], self.sigma[use], shared)
 
 
 class Aid(Protocol):
@@ -58,10 +67,8 @@ class Aid(Protocol):
         ...
 
 
-def student(r: Array, sigma: Array, robust: bool) -> Array:
+def student(r: Array, sigma: Array) -> Array:
     r"""Return the weights (k,) :math:`(\nu+d)/(\nu+|r/\sigma|^2)`, at most 1: a far residual counts less."""
-    if not robust:
-        return np.ones(len(r))
     return np.asarray(np.minimum(1.0, (STUDENT + r.shape[1]) / (STUDENT + np.sum((r / sigma) ** 2, axis=1))))
 
 
@@ -144,7 +151,8 @@ class Magnetometer:
 
     ``field_b`` (k, 3) means at the nodes; earth field ``F`` (horizontal, vertical) towards ``azimuth``, or clockwise
     off it by an offset that is a state: the heading reads as much counter-clockwise; hard iron ``h``; the motion offset
-    ``o`` leaves the datum of heading to the stops. ``sigma`` (k,). Tesla.
+    ``o`` leaves the datum of heading to the stops. ``sigma`` (k,), of which neighbours share their error by the factor
+    ``shared`` (k,). Tesla.
     """
 
     node: Ints
@@ -153,6 +161,7 @@ class Magnetometer:
     moving: Bools
     azimuth: float
     sigma: Array
+    shared: Array
     role: str = "magnetometer"
     robust: bool = True
 
@@ -175,7 +184,7 @@ class Magnetometer:
         H[:, :, o] = self.moving[:, None, None] * np.eye(3)
         if offset is not None:
             H[:, 0, offset.start], H[:, 1, offset.start] = earth_n[:, 1], -earth_n[:, 0]
-        return Rows(self.node, self.t, r, H, np.repeat(self.sigma[:, None], 3, axis=1))
+        return Rows(self.node, self.t, r, H, np.repeat(self.sigma[:, None], 3, axis=1), self.shared)
 
 
 @dataclass(frozen=True, slots=True)

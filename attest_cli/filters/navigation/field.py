@@ -59,7 +59,7 @@ def field_at_nodes(drive: Drive, nodes: Nodes, q: Array, bias: Array) -> Magneto
     field_b = rotation.rotate(rotation.conjugate(q[at]), total[at] / count[at][:, None])
     world = drive.world.field_n
     azimuth = 0.5 * np.pi if world is None else float(np.arctan2(world[1], world[0]))
-    return Magnetometer(at, nodes.t[at], field_b, nodes.moving[at], azimuth, np.ones(len(at)))
+    return Magnetometer(at, nodes.t[at], field_b, nodes.moving[at], azimuth, np.ones(len(at)), np.ones(len(at)))
 
 
 def start_field(field: Magnetometer, form: Layout, at: Trajectory) -> None:
@@ -75,11 +75,12 @@ def tuned_field(field: Magnetometer, form: Layout, at: Trajectory, t: Array) -> 
     """
     r = field.rows(form, at).r
     norm = float(np.median(np.linalg.norm(field.field_b, axis=1)))
-    sigma, moving = np.empty(len(r)), field.moving
+    sigma, shared, moving = np.empty(len(r)), np.ones(len(r)), field.moving
     if moving.any():
         scatter = max(MAD * float(np.median(np.abs(r[moving]))), MOTION_FLOOR * norm)
-        sigma[moving] = scatter * np.sqrt(np.maximum(1.0, 2.0 * FIELD_S / np.gradient(t)[field.node[moving]]))
+        shared[moving] = np.sqrt(np.maximum(1.0, 2.0 * FIELD_S / np.gradient(t)[field.node[moving]]))
+        sigma[moving] = scatter * shared[moving]
     if not moving.all():
         scatter = max(MAD * float(np.median(np.abs(r[~moving]))), REST_FLOOR * norm)
         sigma[~moving] = np.hypot(scatter, PLACE_SHARE * norm)
-    return replace(field, sigma=sigma)
+    return replace(field, sigma=sigma, shared=shared)

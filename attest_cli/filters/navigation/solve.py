@@ -9,7 +9,7 @@ import numpy as np
 
 from ...maths import adjoint, kalman, rotation, sequential
 from ...records import Array, Bools, Innovations, Ints, Smoothed
-from .aids import Aid, Rows, student
+from .aids import Aid, Rows
 from .model import Inertial, Linear, Trajectory, linearise
 from .states import Layout
 
@@ -46,7 +46,7 @@ def pile(placed: Sequence[tuple[Aid, Rows]], n: int, size: int) -> Stack:
     for aid, rows in placed:
         first = used[rows.node].copy()
         np.add.at(used, rows.node, rows.r.shape[1])
-        places.append((aid, rows, first, student(rows.r, rows.sigma, aid.robust)))
+        places.append((aid, rows, first, rows.weight if aid.robust else np.ones(len(rows.r))))
     m = max(1, int(used.max(initial=0)))
     r, H = np.zeros((n, m)), np.zeros((n, m, size))
     for _, rows, first, weight in places:

@@ -15,9 +15,12 @@ from support.drives import effective
 from attest_cli import estimate
 from attest_cli.filters import Drive, navigation
 from attest_cli.filters.choice import choose
-from attest_cli.filters.navigation.aids import Place, student
+from attest_cli.filters.navigation.aids import Magnetometer, Place, student
+from attest_cli.filters.navigation.field import start_field, tuned_field
 from attest_cli.filters.navigation.fixes import GPS_SIGMA_M, possible
+from attest_cli.filters.navigation.model import Trajectory
 from attest_cli.filters.navigation.start import heading_offset
+from attest_cli.filters.navigation.states import CORE, State, layout
 from attest_cli.locate import locate
 from attest_cli.maths import kalman, rotation
 from attest_cli.nodes.noise import find_noise
@@ -293,10 +296,27 @@ def test_auto_looks_at_the_sensors_and_at_how_lively_it_is(roles: set[str], rate
 
 def test_students_weights_spare_what_fits_and_fade_what_does_not() -> None:
     r = np.array([[0.5, 0.0, 0.0], [30.0, 0.0, 0.0]])
-    near, far = student(r, np.ones_like(r), robust=True)
+    near, far = student(r, np.ones_like(r))
     assert near == 1.0
     assert far == pytest.approx((4 + 3) / (4 + 900))
-    assert np.all(student(r, np.ones_like(r), robust=False) == 1.0)
+
+
+def test_iron_near_part_of_a_motion_hardly_counts_though_neighbours_share_their_error(rng: np.random.Generator) -> None:
+    """Sigma of each node is some ten times wider for what it shares; iron lies far off by the scatter of the others."""
+    sizes = {**dict.fromkeys(CORE, 3), "hard iron": 3, "earth field": 2, "motion offset": 3}
+    form = layout(State(name, size, 1.0) for name, size in sizes.items())
+    t = np.arange(0.0, 60.0, 0.05)
+    n, near_iron, one = len(t), slice(0, 100), np.ones(len(t))
+    field_b = rng.normal([0.0, 0.4, -0.3], 0.005, (n, 3))
+    field_b[near_iron] += [0.1, 0.0, 0.0]
+    at = Trajectory(np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.zeros((n, form.size)))
+    begun = Magnetometer(np.arange(n), t, field_b, one > 0, 0.5 * np.pi, one, one)
+    start_field(begun, form, at)
+    found = tuned_field(begun, form, at, t)
+    weight = found.rows(form, at).weight
+    assert np.all(found.sigma > 10 * 0.005)
+    assert np.all(weight[near_iron] < 0.1)
+    assert np.mean(weight[near_iron.stop :]) > 0.9
 
 
 def test_fixes_in_pairs_tell_the_heading_as_even_ones_do(rng: np.random.Generator) -> None:

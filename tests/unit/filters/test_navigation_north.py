@@ -23,7 +23,8 @@ def seen(*, level: bool) -> tuple[Magnetometer, Array]:
     R = rotation.matrix(rotation.exp_quaternion(angles))
     field = np.einsum("kji,j->ki", R, HERE) + IRON + rng.normal(0, 5e-7, (300, 3))
     t = np.arange(300.0)
-    return Magnetometer(np.arange(300), t, field, np.ones(300, dtype=np.bool_), 0.0, np.ones(300)), R
+    one = np.ones(300)
+    return Magnetometer(np.arange(300), t, field, one > 0, 0.0, one, one), R
 
 
 def test_iron_alone_leaves_north_known() -> None:
