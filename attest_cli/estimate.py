@@ -12,6 +12,7 @@ from .assess import Pass
 from .filters.alignment import Start
 from .filters.choice import choose
 from .filters.lag import find_lags
+from .filters.stamps import read_as
 from .maths import kalman, rotation
 from .maths.kalman import Chain
 from .memory import give_back
@@ -69,6 +70,7 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     """
     name, _ = choose(log, segmentation, settings)
     settings = settings.model_copy(update={"smoothing": settings.smoothing.model_copy(update={"filter": name})})
+    settings, of_stamps = read_as(log, settings)
     found, smoothed = _solve(log, segmentation, settings, progress)
     if not segmentation.stops and found.nodes is not None:
         again = replace(segmentation, bias_b=smoothed.bias.mean(axis=0))
@@ -86,7 +88,7 @@ def estimate(log: Log, segmentation: Segmentation, settings: Settings, progress:
     samples = None if found.nodes is None else found.nodes.samples
     found = replace(found, run=_lean(found.run), nodes=None, start=None)
     told = _told(found, forward, smoothed, errors, world, settings, over_nodes=samples is not None)
-    told = replace(told, warnings=(*told.warnings, *(_late(role, lag) for role, lag in lags.items())))
+    told = replace(told, warnings=(*told.warnings, *of_stamps, *(_late(*item) for item in lags.items())))
     if samples is None:
         return replace(told, q=rotation.continuous(smoothed.q))
     del found, forward, errors, smoothed  # full rate is long enough

@@ -131,7 +131,7 @@ def build_nodes(
     t = _grid(imu.t, stops, frozen_stops, gaps, must, spacing, coarsest)
     middle = 0.5 * (t[1:] + t[:-1])
     frozen, gap = _inside(middle, stops) & settings.smoothing.zero_rate, _inside(middle, gaps)
-    linear = settings.imu.gyro_samples == "point"
+    linear = settings.imu.gyro_samples != "interval"
     samples = Samples(imu.t, imu.gyro_b, t, np.searchsorted(imu.t, t), frozen | gap, linear)
     bias = reference_bias(log, segmentation, middle)
     density = motion_density(noise, mean_rate(imu, middle) - bias) + added_density(imu.t, imu.gyro_added, t)

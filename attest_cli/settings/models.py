@@ -114,8 +114,10 @@ class Imu(Section):
     calibration: Path | None = Field(
         None, description="calibration.toml of attest calibrate-bias, relative to the config file; what is stated wins"
     )
-    gyro_samples: Literal["point", "interval"] = Field(
-        "point", description="a gyro sample is the rate at its stamp (trapezoid) or the mean since the stamp before"
+    gyro_samples: Literal["auto", "point", "interval"] = Field(
+        "auto",
+        description="a gyro sample is the rate at its stamp (point: trapezoid) or the mean since the stamp before; "
+        "auto: point, unless a magnetometer shows the other",
     )
 
 

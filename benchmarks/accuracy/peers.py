@@ -15,14 +15,16 @@ import pyarrow.parquet as pq
 
 from attest_cli.estimate import estimate
 from attest_cli.evaluate import Claims, Evaluation, Options, Poses, evaluate
+from attest_cli.filters.stamps import read_as
 from attest_cli.pipeline import read
 from attest_cli.segment import find_segments
 from attest_cli.settings import load_settings
 from attest_cli.track import world_variance
 
-RULES = {"point": 1.2, "interval": 0.7}
+LAGS = {"point": 1.2, "interval": 0.7}
 """Rule of ``gyro_samples`` -> samples by which BROAD's IMU lags its truth with it."""
-VQF_LAG = RULES["interval"]
+RULES = ("auto", *LAGS)
+VQF_LAG = LAGS["interval"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def load(path: Path) -> Trial:
 
 
 def by_attest(trial: Trial, rule: str, overrides: Mapping[str, Any]) -> Run:
-    """Run attest's pipeline without a config."""
+    """Run attest's pipeline without a config, gyro samples read by ``rule``."""
     settings = load_settings(None, trial.path, {"imu.gyro_samples": rule, **overrides}).settings
     _, log = read([trial.path], settings)
     segmentation = find_segments(log, settings)
@@ -78,7 +80,9 @@ def by_attest(trial: Trial, rule: str, overrides: Mapping[str, Any]) -> Run:
     relative = P[:, 2, 2] if found.smoothed.heading_relative is None else found.smoothed.heading_relative
     claims = Claims(stamps, P, np.full_like(P, np.nan), relative, full=True)
     poses = Poses("attest", "track", log.stamps_ns, found.q, none, None, found.forward.heading, claims=claims)
-    return Run(f"attest, {rule}", poses, RULES[rule], len(segmentation.stops))
+    name = "attest" if rule == "auto" else f"attest, {rule}"
+    lag = LAGS[read_as(log, settings)[0].imu.gyro_samples]
+    return Run(name, poses, lag, len(segmentation.stops))
 
 
 def by_vqf(trial: Trial) -> Run:
