@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...maths import rotation
+from ...records import Warn
 from . import solve
 from .model import Trajectory
-from .problem import HEADING_SIGMA, Problem, upright
+from .problem import HEADING_SIGMA, NORTH_RAD, Problem, upright
 
 WEAK_RAD = 0.0175  # sigma of a heading from which on what noise feigns is no small part of what shows it
 HELD_RAD, HELD = 1e-4, 1e-12  # sigma of a heading that is held; share of the variance of another state
@@ -53,10 +54,21 @@ def surveyed(problem: Problem, found: solve.Solution) -> Problem | None:
     costs = np.array([_headed(problem, found, psi) for psi in THREE])
     wave = -2.0 / 3.0 * complex(np.sum(costs * np.exp(1j * THREE)))
     known = max(1.0 / variance - HEADING_SIGMA**-2, 1e-9) / problem.inertial.slope**2
-    inertial = replace(problem.inertial, slope=max(LEAST_SLOPE, slope(known, 0.5 * abs(wave))))
+    by = max(LEAST_SLOPE, slope(known, 0.5 * abs(wave)))
     at = turned(found.smoothed, float(np.angle(wave)))
-    prior = (Trajectory(at.q[:1], problem.prior[0].x), problem.prior[1])  # no knowledge: it must not draw
-    return replace(problem, at=at, prior=prior, inertial=inertial)
+    return replace(
+        problem, at=at, inertial=replace(problem.inertial, slope=by),
+        prior=(Trajectory(at.q[:1], problem.prior[0].x), problem.prior[1]),  # no knowledge: it must not draw
+        warnings=(*problem.warnings, *_weak(1.0 / (by * np.sqrt(known)))),
+    )  # fmt: skip
+
+
+def _weak(sigma: float) -> list[Warn]:
+    """Say that the heading is hardly shown, where it is."""
+    if sigma < NORTH_RAD:
+        return []
+    message = f"the fixes hardly show where north is: to {min(np.degrees(sigma), 90.0):.0f} deg"
+    return [Warn("north-not-shown", message, "a compass, or a livelier drive, shows it")]
 
 
 def turned(at: Trajectory, psi: float) -> Trajectory:

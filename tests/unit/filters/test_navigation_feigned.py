@@ -57,6 +57,8 @@ def test_a_heading_that_noise_feigns_is_no_better_than_its_sigma(seed: int, nort
     assert np.degrees(sigma.min()) > 10.0
     assert np.max(np.abs(np.angle(np.exp(1j * error))) / sigma) < 3.0
     assert not done.learnt.lags
+    told = {w.code for w in done.problem.warnings}
+    assert ("north-not-shown" in told) == (np.degrees(sigma[0]) > 25.6)
 
 
 def test_what_the_drive_costs_is_least_where_the_survey_says() -> None:
