@@ -134,7 +134,9 @@ def _scale(found: Sequence[Motion], same: float, lost: bool) -> list[Warn]:
     """Say which other scale of the gyro closes; where rows are ``lost``, one that they do not explain."""
     scaled = np.array([_opening(found, [m.back(scale * np.eye(3)) for m in found]) for scale in SCALES])
     k = int(np.argmin(scaled))
-    if scaled[k] >= CLOSES * same or not 0 < k < len(SCALES) - 1 or (lost and abs(SCALES[k] - 1.0) < LOST_SCALE):
+    if scaled[k] >= CLOSES * same or not 0 < k < len(SCALES) - 1:
+        return []
+    if lost and (abs(SCALES[k] - 1.0) < LOST_SCALE or not _wholly((scaled[k] / same) ** 2, 2 * len(found), 1)):
         return []
     message = f"the gyro closes from stop to stop with {SCALES[k]:.2f} times its rate, not as it is"
     hint = "calibrate its scale: where it turns much, sigma does not hold"
@@ -183,22 +185,28 @@ def _accelerometer(found: Sequence[Motion], turned: Sequence[Array], noise: Nois
 
 
 def _closes(left: Array, off: Array, unknowns: int) -> bool:
-    r"""Whether so many ``unknowns`` explain motions that were ``off``, in sigma: what is gained is no noise, what is
+    """Whether so many ``unknowns`` explain motions that were ``off``, in sigma: what is gained is no noise, what is
     ``left`` is; or, where noise is not what it is said to be, hardly anything is left.
-
-    Of noise of any size :math:`u` unknowns leave a share of :math:`a` angles that has the beta distribution
-    :math:`B(\frac{a-u}2,\frac u2)`: below a small :math:`r` by a chance of :math:`r^{(a-u)/2}/(\frac{a-u}2B)`.
     """
     remains, before = float(left @ left), float(off @ off)
     angles = len(off) // 3 * 2  # the size of specific force has none
     if remains < CLOSES**2 * before:
-        p, q = 0.5 * (angles - unknowns), 0.5 * unknowns
-        log_beta = math.lgamma(p) + math.lgamma(q) - math.lgamma(p + q) if p > 0.0 and q > 0.0 else math.inf
-        share = math.log(max(remains / before, 1e-300))
-        wholly = p > 0.0 and p * share - math.log(p) - log_beta < math.log(EXPLAINED)
-        return wholly or before > upper_quantile(angles, CHANCE)
+        return _wholly(remains / before, angles, unknowns) or before > upper_quantile(angles, CHANCE)
     noise = upper_quantile(max(angles - unknowns, 1), USUAL)
     return remains < noise and before - remains > upper_quantile(max(unknowns, 1), CHANCE)
+
+
+def _wholly(share: float, angles: int, unknowns: int) -> bool:
+    r"""Whether so many ``unknowns`` leave so small a ``share`` of the squares of ``angles`` as noise of no size does.
+
+    Of noise :math:`u` unknowns leave a share of :math:`a` angles that has the beta distribution
+    :math:`B(\frac{a-u}2,\frac u2)`: below a small :math:`r` by a chance of :math:`r^{(a-u)/2}/(\frac{a-u}2B)`.
+    """
+    p, q = 0.5 * (angles - unknowns), 0.5 * unknowns
+    if p <= 0.0 or q <= 0.0:
+        return p > 0.0
+    log_beta = math.lgamma(p) + math.lgamma(q) - math.lgamma(p + q)
+    return p * math.log(max(share, 1e-300)) - math.log(p) - log_beta < math.log(EXPLAINED)
 
 
 def _sizes(found: Sequence[Motion], drive: Drive) -> list[Warn]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ from .stillness import (
 )
 
 FAST, FASTEST_RAD_S = 20.0, 0.2  # of the largest bias that is believed: where nothing else is quiet, one is asked about
+AS_UNIT = 0.1  # how near a ratio of noise is to that of deg/s and rad/s
 LOUD = 3.0  # times the noise that is stated: no window of the log is as calm
 JUMP = math.radians(0.5)  # rad/s: a bias that jumps by more leaves the motion before it too wide open
 RARE = 0.1  # share of the log below which stops are doubted when the noise is not stated
@@ -85,7 +87,7 @@ def find_segments(log: Log, settings: Settings) -> Segmentation:
         still[:] = False  # the noise was taken from the motion itself, of which these are the calmest moments
         margin = math.nan
     segments = as_segments(still, imu.t, edges, stops.window_s / 2)
-    loud = "" if still.any() else louder(windows, imu.t, settings)
+    loud = {} if still.any() else louder(windows, imu.t, settings)
     told = doubts(still, limits, margin, found, quiet, loud) + jumps(agreed, quiet)
     if not found.start.size:
         factor = max(FAST, FASTEST_RAD_S / settings.imu.gyro_bias_sigma)
@@ -159,28 +161,38 @@ def as_segments(still: Bools, t: Array, edges: Ints, shrink_s: float) -> tuple[S
     return tuple(segments)
 
 
-def louder(windows: Windows, t: Array, settings: Settings) -> str:
-    """Say by how much even the calmest windows are noisier than is stated; nothing where they are not."""
+def louder(windows: Windows, t: Array, settings: Settings) -> dict[str, float]:
+    """Return by how much even the calmest windows are noisier than is stated, per density; those that are."""
     stated = sensor_noise(windows, t, settings)
     free = {"gyro_noise_density": None, "accel_noise_density": None}
     seen = sensor_noise(windows, t, settings.model_copy(update={"imu": settings.imu.model_copy(update=free)}))
-    said = [
-        f"the {sensor} is {own / wanted:.3g} times as noisy as [imu] {name} states"
-        for sensor, name, own, wanted in zip(("gyro", "accelerometer"), free, seen, stated, strict=True)
-        if own > LOUD * wanted
-    ]
-    return " and ".join(said)
+    times = {name: own / wanted for name, own, wanted in zip(free, seen, stated, strict=True)}
+    return {name: by for name, by in times.items() if by > LOUD}
+
+
+def too_loud(loud: Mapping[str, float], by_hand: str) -> list[Warn]:
+    """Say that nothing is as calm as stated, and where it is by what deg/s taken for rad/s make of a rest."""
+    said = " and ".join(
+        f"the {'gyro' if name.startswith('gyro') else 'accelerometer'} is {by:.3g} times as noisy as [imu] {name} states"
+        for name, by in loud.items()
+    )
+    fact = f"no stop found in this log: at its calmest {said}"
+    told = [Warn("no-stop", fact, f"mend what is stated; if something shook while it rested, {by_hand}")]
+    if abs(loud.get("gyro_noise_density", 0.0) * np.radians(1.0) - 1.0) < AS_UNIT:
+        fact = "the gyro is as much noisier than stated as deg/s are more than rad/s: is one of them in deg/s?"
+        told.append(Warn("unit-doubted", fact, "state the gyro's unit in the header, and its noise in rad/s"))
+    return told
 
 
 def doubts(
-    still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet: Quiet, loud: str = ""
+    still: Bools, limits: Thresholds, margin: float, found: Quiet, quiet: Quiet,
+    loud: Mapping[str, float] | None = None,
 ) -> tuple[Warn, ...]:  # fmt: skip
     """What the user should know about the stops that were found; ``loud``: by how much nothing is as calm as stated."""
     by_hand = "give the stops by hand with --stops FILE"
     warnings = []
     if not still.any() and loud:
-        fact = f"no stop found in this log: at its calmest {loud}"
-        warnings.append(Warn("no-stop", fact, f"mend what is stated; if something shook while it rested, {by_hand}"))
+        warnings += too_loud(loud, by_hand)
     elif not still.any():
         warnings.append(Warn("no-stop", "no stop found in this log", f"if the vehicle did rest, {by_hand}"))
     elif margin < limits.leave / limits.enter:

@@ -132,6 +132,15 @@ def test_drive_played_backwards_has_the_same_stops() -> None:
     assert np.abs(edges_of(back) - forth).max() < 0.1
 
 
+def test_a_gyro_as_noisy_as_one_in_degrees_is_doubted_where_nothing_rests() -> None:
+    _, log, settings = drive(206)
+    shown = {}
+    for times in (np.degrees(1.0), 30.0):
+        louder = dataclasses.replace(log, imu=dataclasses.replace(log.imu, gyro_b=log.imu.gyro_b * times))
+        shown[times] = [w.code for w in find_segments(louder, settings).warnings]
+    assert shown == {np.degrees(1.0): ["no-stop", "unit-doubted"], 30.0: ["no-stop"]}
+
+
 def test_log_without_a_stop_says_so() -> None:
     simulation, log, settings = drive(206)
     start, end = simulation.stops[0, 1] + 2.0, simulation.stops[1, 0] - 2.0
