@@ -16,6 +16,7 @@ from .states import Layout
 CALM_S = 2.0
 LEAST_SIGMA = 1e-3  # m, m/s: what is found of fixes and wheels; less is all coloured, and covariances turn singular
 STUDENT = 4.0  # degrees of freedom of the weights: outliers do not bend the track
+UNSEEN = (STUDENT + 6.0) / (STUDENT + 4.0)  # of six errors: mean of their variance over that by which they count
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +188,11 @@ class Magnetometer:
         return Rows(self.node, self.t, r, H, np.repeat(self.sigma[:, None], 3, axis=1), self.shared)
 
 
+def drifts(role: str) -> tuple[tuple[str, slice], ...]:
+    """Return the groups of the coloured error of fixes and their axes: level and up, where no satellite is below."""
+    return (f"{role} drift", slice(0, 2)), (f"{role} drift up", slice(2, 3))
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     r"""Positions (k, 3) in navigation axes: :math:`z=p+Rl+c-v\,\tau+v`, NaN = not measured.
@@ -217,10 +223,11 @@ class Place:
             H[:, :, part] = R
         predicted += np.einsum("kij,kj->ki", R, arm)
         H[:, :, :3] = -R @ rotation.skew(arm)
-        if f"{self.role} drift" in layout:
-            part = layout.parts[f"{self.role} drift"]
-            predicted += x[:, part]
-            H[:, :, part] = np.eye(3)
+        for name, axes in drifts(self.role):
+            if name in layout:
+                part = layout.parts[name]
+                predicted[:, axes] += x[:, part]
+                H[:, axes, part] = np.eye(part.stop - part.start)
         for k, first in enumerate(self.leaps):
             begin = layout.parts[f"{self.role} jump"].start + 3 * k
             predicted[first:] += x[first:, begin : begin + 3]

@@ -7,7 +7,16 @@ adjoint :math:`\tilde\lambda` of a disturbance :math:`w\sim N(0,qV)` and its cov
 
 which is zero where the first sum, what was seen, is the second, what was expected; so variances are multiplied by
 their quotient, again and again. Source: Koopman and Shephard 1992, "Exact score for time series models in state space
-form".
+form". A step that goes on in the direction of the one before is taken longer.
+
+**Correlation times.** With what drives a coloured error held, its time :math:`T` acts through its transition alone,
+:math:`F=\partial\Phi/\partial\log T`, and one step of expectation and maximisation is
+
+.. math:: \delta\log T=\frac{-\sum_k\tilde\lambda^TFx+\mathrm{tr}(F^T\tilde\Lambda\Phi P)}
+    {\sum_k\mathrm{tr}(F^TQ^{-1}F\,E[xx^T])},\qquad E[w\,x^T]=-Q(\tilde\lambda x^T+\tilde\Lambda\Phi P)
+
+with what is assumed as a prior: a time that the log does not show stays. Source: Shumway and Stoffer 1982, "An approach
+to time series smoothing and forecasting using the EM algorithm".
 
 **Jumps.** A receiver that loses satellites, or sees them by reflections, finds another solution from one fix to the
 next, and stays there: a metre in a log whose fixes are good to centimetres elsewhere. With one Gaussian noise for both,
@@ -16,7 +25,9 @@ mixture of Gaussians in which each fix has a factor :math:`s_j` of its own on th
 
 .. math:: s_j=\max\Big(1,\frac{\nu+E[w_j^TQ_j^{-1}w_j]}{\nu+d}\Big)
 
-with :math:`w_j` the change of the error and its rate since the fix before, usually of covariance :math:`Q_j`.
+with :math:`w_j` the change of the error and its rate since the fix before, usually of covariance :math:`Q_j`. A stretch
+without fixes is many draws that nobody saw: there the mean of the factors counts, :math:`(\nu+d)/(\nu+d-2)` times that
+of the :math:`s_j`, which are inverse means of inverses.
 Source: Lange, Little and Taylor 1989, "Robust statistical modeling using the t distribution".
 """
 
@@ -24,22 +35,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from ...maths import adjoint, sequential
 from ...records import Array, Ints
 from . import colours
-from .aids import STUDENT, Aid, Place
+from .aids import STUDENT, UNSEEN, Aid, Place, drifts
 from .identify import RANGE, Window, scaled_inertial
 from .model import Inertial, Linear, inertial_noise
 from .solve import Stack, forward, pile, whitening
-from .states import Layout, layout
+from .states import TIME, Layout, layout, time_of
 
-TRIAL, PASSES = 3, 2  # of factors and jumps in turn: to choose where to begin, and after; more change little
+TRIAL, PASSES = 3, 5  # of factors and jumps in turn: to choose where to begin, and after; more change little
 WHITE = 0.125  # share of the white noise of fixes that is left where their error is taken for coloured
-MOST = 2.0  # times a sigma in a pass
+MOST, MORE, MOST_GAIN = 2.0, 1.5, 4.0  # times a sigma in a pass; of a step that goes on as before; most of a step
+TIMES = (0.125, 8.0)  # of the correlation time that is assumed
 PRIOR = 1.0  # degrees of freedom that speak for a factor as it is
+KNOWN, SLIGHT = 1.0, 1e-3  # of the logarithm of a correlation time: sigma of what is assumed; a small change
+HOLE = 3.0  # times the usual time between fixes: many draws, of which the mean factor counts
 SAME_S = 1e-4  # stamps of one fix agree to this
 
 Jumps = Mapping[str, tuple[Array, Array]]
@@ -47,7 +62,7 @@ Jumps = Mapping[str, tuple[Array, Array]]
 
 
 def refined(window: Window, aids: Sequence[Aid], factors: Mapping[str, float]) -> tuple[dict[str, float], Jumps]:
-    """Return the factors on the sigmas, and the jumps of the fixes among ``aids``, over a whole log.
+    """Return the factors on the sigmas and correlation times, and the jumps of the fixes among ``aids``, over a log.
 
     White and coloured errors of fixes have a maximum of the likelihood each: both are tried, the likelier is taken.
     """
@@ -65,6 +80,7 @@ def _passes(
 ) -> tuple[dict[str, float], Jumps, float]:  # fmt: skip
     """Return factors and jumps after some passes, and how likely those before the last were."""
     found, n, likely = dict(factors), len(window.at.q), -np.inf
+    steps, gains = dict[str, float](), dict[str, float]()
     for _ in range(count):
         loosened = replace(window, form=window.form.loosened(loose(places, jumps, {}, n)))
         P0, lin, placed = loosened.under(found)
@@ -74,7 +90,10 @@ def _passes(
         back = adjoint.adjoints(run)
         jumps = {place.role: (place.t, _jumped(window.form.scaled(found), place, back, jumps)) for place in places}
         seen = {**dict(_of_motion(loosened, found, lin, back)), **dict(_of_rows(run, rows, back))}
-        found = {name: _next(factor, *seen[name]) for name, factor in found.items()}
+        before, steps = steps, {name: _step(*s) for name, s in _ordered(places, found, seen).items() if name in factors}
+        steps |= dict(_of_times(loosened, found, lin, run, back))
+        gains = {name: _gain(gains.get(name, 1.0), before.get(name, 0.0) * steps[name]) for name in steps}
+        found = _moved(found, {name: gains[name] * step for name, step in steps.items()})
     return found, jumps, likely
 
 
@@ -85,31 +104,62 @@ def _prior(s: Array) -> float:
 
 def _coloured(form: Layout, places: Sequence[Place], factors: Mapping[str, float]) -> dict[str, float]:
     """Return the factors with the error of fixes as large as it was, but nearly all of it coloured."""
-    out = dict(factors)
+    out, groups = dict(factors), {state.name: state for state in form.coloured()}
     for place in (place for place in places if place.role in factors):
-        drift = next(s for s in form.states if s.name == f"{place.role} drift")
-        white, slow = (float(np.nanmedian(sigma)) for sigma in (place.sigma, np.atleast_1d(drift.sigma)))
-        out[drift.name] = float(np.hypot(factors[drift.name], factors[place.role] * white / slow))
+        for name, _ in drifts(place.role):
+            slow, white = np.median(groups[name].sigma), np.nanmedian(place.sigma)
+            out[name] = float(np.hypot(factors[name], factors[place.role] * white / slow))
         out[place.role] = WHITE * factors[place.role]
     return out
 
 
 def loose(aids: Sequence[Aid], jumps: Jumps, lags: Mapping[str, float], n: int) -> dict[str, Array]:
     """Return per coloured group of the fixes among ``aids``, late by ``lags``, the factors (n - 1,) between nodes."""
-    out = {}
+    out = dict[str, Array]()
     for place in (aid for aid in aids if isinstance(aid, Place) and aid.role in jumps):
         stamps, factors = jumps[place.role]
         own = np.searchsorted(stamps, place.t + lags.get(place.role, 0.0) - SAME_S)
         own = np.minimum(own, len(stamps) - 1)
         until = np.searchsorted(place.node, np.arange(1, n))  # the fix that an interval leads to
-        out[f"{place.role} drift"] = np.append(factors[own], 1.0)[until]
+        out.update((name, np.append(factors[own], 1.0)[until]) for name, _ in drifts(place.role))
     return {**out, **{f"{name} rate": factors for name, factors in out.items()}}
 
 
-def _next(factor: float, seen: float, expected: float) -> float:
-    """Return a factor on a sigma after a pass."""
-    times = np.sqrt((seen + PRIOR) / (expected + PRIOR))
-    return float(np.clip(factor * np.clip(times, 1.0 / MOST, MOST), *RANGE))
+def _ordered(
+    places: Sequence[Place], factors: Mapping[str, float], seen: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Return what was seen and expected, of level and up together where fixes would be worse level than up: no receiver
+    is, and what looks so is a clock, a heading or a motion that contradicts them.
+    """
+    out = dict(seen)
+    for place, end in product(places, ("", " rate")):
+        level, up = (name + end for name, _ in drifts(place.role))
+        if {level, up} <= factors.keys():
+            ahead = np.log(factors[level] / factors[up]) + _step(*seen[level]) - _step(*seen[up])
+            if ahead >= 0.0:
+                out[level] = out[up] = (seen[level][0] + seen[up][0], seen[level][1] + seen[up][1])
+    return out
+
+
+def _step(seen: float, expected: float) -> float:
+    """Return by how much the logarithm of a sigma is to change."""
+    return float(0.5 * np.log((seen + PRIOR) / (expected + PRIOR)))
+
+
+def _gain(gain: float, along: float) -> float:
+    """Return how much of a step is taken: more of one that goes on as the one before."""
+    return min(MOST_GAIN, MORE * gain) if along > 0.0 else 1.0
+
+
+def _moved(factors: Mapping[str, float], steps: Mapping[str, float]) -> dict[str, float]:
+    """Return the factors after steps of their logarithms; what drives an error stays where its time changes."""
+    out = dict(factors)
+    for name, step in steps.items():
+        times, known = float(np.exp(np.clip(step, -np.log(MOST), np.log(MOST)))), out.get(name, 1.0)
+        out[name] = float(np.clip(known * times, *(TIMES if name.endswith(TIME) else RANGE)))
+        if name.endswith(TIME):
+            out[name.removesuffix(TIME)] *= float(np.sqrt(out[name] / known))
+    return out
 
 
 def _of_motion(
@@ -137,6 +187,25 @@ def _sums(back: adjoint.Adjoints, at: Ints, Q: Array) -> tuple[float, float]:
     return float(np.einsum("ki,kij,kj->", shock, Q, shock)), float(np.einsum("kij,kji->", Q, Shock))
 
 
+def _of_times(
+    window: Window, factors: Mapping[str, float], lin: Linear, run: sequential.Pass, back: adjoint.Adjoints
+) -> Iterator[tuple[str, float]]:
+    """Yield by how much the logarithm of the correlation time of every coloured error is to change."""
+    form, span, P = window.form.scaled(factors), lin.motion.span, run.chain.P[:-1]
+    among = colours.indices(form)
+    block, held = (slice(None), among[:, None], among), P[:, among]
+    x = (window.at.x[:-1] + run.x[:-1] - np.einsum("kij,kj->ki", P, back.lam[:-1]))[:, among]
+    squares = x[:, :, None] * x[:, None] + P[block] - held @ back.Lam[:-1] @ held.swapaxes(1, 2)
+    driven = back.shock[1:, among, None] * x[:, None] + back.Shock[1:, among] @ lin.Phi @ held.swapaxes(1, 2)
+    weight = np.linalg.pinv(lin.Q[block], hermitian=True) * (span > SAME_S)[:, None, None]
+    for name in (state.name for state in form.coloured()):
+        later, sooner = (colours.fading(form.scaled({time_of(name): np.exp(h)}), span) for h in (SLIGHT, -SLIGHT))
+        slope, off = (later - sooner) / (2.0 * SLIGHT), np.log(factors.get(time_of(name), 1.0))
+        gradient = -float(np.sum(slope * driven)) - off / KNOWN**2
+        information = float(np.sum((slope.swapaxes(1, 2) @ weight @ slope) * squares)) + 1.0 / KNOWN**2
+        yield time_of(name), gradient / information
+
+
 def _of_rows(
     run: sequential.Pass, rows: Stack, back: adjoint.Adjoints
 ) -> Iterator[tuple[str, tuple[float, float]]]:  # fmt: skip
@@ -150,11 +219,14 @@ def _of_rows(
 
 def _jumped(form: Layout, place: Place, back: adjoint.Adjoints, jumps: Jumps) -> Array:
     """Return the factors (k,) of fixes, expected with those there were."""
-    names, among = (f"{place.role} drift", f"{place.role} drift rate"), colours.indices(form)
+    names, among = [n + end for n, _ in drifts(place.role) for end in ("", " rate")], colours.indices(form)
     where = np.flatnonzero(np.isin(among, np.concatenate([np.r_[form.parts[name]] for name in names])))
     at = among[where]
-    Q = colours.driving(form, np.diff(place.t, prepend=place.t[0]))[:, where[:, None], where]
+    span = np.diff(place.t, prepend=place.t[0])
+    Q = colours.driving(form, span)[:, where[:, None], where]
     s, d = jumps[place.role][1], len(at)
     shock, Shock = back.shock[place.node][:, at], back.Shock[place.node][:, at[:, None], at]
     moved = s * np.einsum("ki,kij,kj->k", shock, Q, shock) - s * np.einsum("kij,kji->k", Q, Shock)
-    return np.asarray(np.maximum(1.0, (STUDENT + s * (d + moved)) / (STUDENT + d)))
+    found = np.maximum(1.0, (STUDENT + s * (d + moved)) / (STUDENT + d))
+    hole = span > HOLE * np.median(span)
+    return np.asarray(np.where(hole, np.maximum(found, UNSEEN * np.mean(found[~hole])), found))

@@ -8,7 +8,7 @@ from ...nodes import Nodes
 from ...records import Array, Bools, Warn
 from ...settings import GPS_SIGMA_M, POSITION_SIGMA_M
 from .. import Drive
-from .aids import Place
+from .aids import Place, drifts
 from .states import State
 
 LEAST_SIGMA_M = 1e-3  # no receiver is better, whatever it states
@@ -46,14 +46,14 @@ def place_of(drive: Drive, nodes: Nodes, role: str, arm: Array) -> Place:
 
 def place_states(drive: Drive, place: Place) -> list[State]:
     """Return the states that fixes call for: their coloured error, its rate, and how late they are."""
-    usual = float(np.nanmedian(place.sigma))
     stated = "sigma_m" in getattr(drive.settings, place.role).model_fields_set
-    rate = DRIFT_RATE * usual * (STATED_RATE if stated else 1.0)
-    return [
-        State(f"{place.role} drift", 3, PLACE_DRIFT * usual, PLACE_DRIFT_S),
-        State(f"{place.role} drift rate", 3, rate, DRIFT_RATE_S, f"{place.role} drift"),
-        State(f"{place.role} lag", 1, LAG_SIGMA_S),
-    ]
+    rate = DRIFT_RATE * (STATED_RATE if stated else 1.0)
+    states, usual = [], float(np.nanmedian(place.sigma))
+    for name, axes in drifts(place.role):
+        size = axes.stop - axes.start
+        states.append(State(name, size, PLACE_DRIFT * usual, PLACE_DRIFT_S))
+        states.append(State(f"{name} rate", size, rate * usual, DRIFT_RATE_S, name))
+    return [*states, State(f"{place.role} lag", 1, LAG_SIGMA_S)]
 
 
 def possible(drive: Drive, role: str) -> tuple[Bools, Array, Array]:

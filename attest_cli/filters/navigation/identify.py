@@ -13,9 +13,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ...maths import adjoint, strapdown
-from ...records import Array
+from ...records import Array, Bools, Ints
 from . import colours
-from .aids import Aid, Place, Rows, Wheels, scaled_sigma
+from .aids import UNSEEN, Aid, Place, Rows, Wheels, scaled_sigma
 from .model import Inertial, Linear, Trajectory, linearise, renoised
 from .solve import forward, log_likelihood, pile
 from .states import Layout
@@ -50,12 +50,13 @@ class Window:
         """Return the mean normalised square, per degree of freedom, and the log-likelihood of fixes in outages,
         predicted from both sides, and how many outages there are.
         """
-        P0, lin, placed = self.under(factors)
-        at = next(k for k, (aid, _) in enumerate(placed) if isinstance(aid, Place))
-        aid, rows = placed[at]
-        hidden = (rows.t - rows.t[0]) % (HIDDEN_S + BETWEEN_S) > BETWEEN_S
+        at = next(k for k, (aid, _) in enumerate(self.rows) if isinstance(aid, Place))
+        shown = self.rows[at][1]
+        hidden = (shown.t - shown.t[0]) % (HIDDEN_S + BETWEEN_S) > BETWEEN_S
         if not hidden.any():
             return 1.0, 0.0, 1
+        P0, lin, placed = self._unseen(shown.node, hidden).under(factors)
+        aid, rows = placed[at]
         placed[at] = (aid, rows.where(~hidden))
         run = forward(P0, lin, pile(placed, len(self.at.q), self.form.size), np.zeros(self.form.size))
         errors, test = adjoint.smooth(run), rows.where(hidden)
@@ -65,6 +66,13 @@ class Window:
         squares = np.einsum("ki,ki->k", r, np.linalg.solve(S, r[:, :, None])[:, :, 0])
         outages = len(np.unique((test.t - rows.t[0]) // (HIDDEN_S + BETWEEN_S)))
         return 0.5 * float(np.mean(squares)), -0.5 * float(np.sum(squares + np.linalg.slogdet(S)[1])), outages
+
+    def _unseen(self, node: Ints, hidden: Bools) -> Window:
+        """Return the window where ``hidden`` fixes at ``node`` do not show what jumps: the mean factor counts there."""
+        fix, gone = np.searchsorted(node, np.arange(1, len(self.at.q))), np.append(hidden, False)
+        between = gone[fix] | gone[fix - 1]
+        loose = {s.name: s.loose for s in self.form.states if s.loose is not None}
+        return self.loosened({name: np.where(between, UNSEEN * of.mean(), of) for name, of in loose.items()})
 
     def loosened(self, loose: Mapping[str, Array]) -> Window:
         """Return the window with ``loose`` factors on what drives coloured errors, per interval between its nodes."""
@@ -94,9 +102,10 @@ def identify(
     for step in STEPS:
         for _ in range(ROUNDS):
             moved = False
-            for name in free:
+            for name in sorted({_level(name) for name in free}, key=list(free).index):
                 for way in (step, 1.0 / step):
-                    trial = {**factors, name: float(np.clip(factors[name] * way, *RANGE))}
+                    tied = [other for other in free if _level(other) == name]
+                    trial = factors | {other: float(np.clip(factors[other] * way, *RANGE)) for other in tied}
                     value = window.log_likelihood(trial)
                     if value > best + WORTH:
                         best, factors, moved = value, trial, True
@@ -130,6 +139,11 @@ def widened(
             break
         out, (square, best, _) = trials[k], judged[k]
     return out
+
+
+def _level(name: str) -> str:
+    """Return the group of an error level that goes with that ``name`` up: roughly both are as large."""
+    return name.replace(" up", "")
 
 
 def _slow(factors: Mapping[str, float], aids: Sequence[Aid]) -> list[str]:

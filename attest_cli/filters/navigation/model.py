@@ -112,13 +112,15 @@ def linearise(inertial: Inertial, layout: Layout, at: Trajectory, *, smoothed: b
 
 
 def renoised(lin: Linear, inertial: Inertial, layout: Layout, at: Trajectory) -> Linear:
-    """Return the same motion with the noise of another ``inertial`` and ``layout``."""
-    Q = lin.Q.copy()
+    """Return the same motion with the noise of another ``inertial`` and ``layout``, and its correlation times."""
+    Phi, Q, u = lin.Phi.copy(), lin.Q.copy(), lin.u.copy()
     open_ = ~inertial.gap
     Q[open_, :15, :15] = _core_noise(inertial, rotation.matrix(at.q[:-1]), lin.motion)[open_]
     wander = colours.indices(layout)
-    Q[:, wander[:, None], wander] = colours.driving(layout, lin.motion.span)
-    return replace(lin, Q=Q)
+    among = (slice(None), wander[:, None], wander)
+    Phi[among], Q[among] = colours.fading(layout, lin.motion.span), colours.driving(layout, lin.motion.span)
+    u[:, wander] += np.einsum("kij,kj->ki", Phi[among] - lin.Phi[among], at.x[:-1, wander])
+    return replace(lin, Phi=Phi, Q=Q, u=u)
 
 
 def inertial_noise(inertial: Inertial, at: Trajectory, motion: strapdown.Motion) -> Array:

@@ -52,6 +52,6 @@ def _noise(done: Navigated) -> list[Shown]:
             out.append(Shown(f"{aid.role} noise", tuple(sigma.tolist()), (), unit))
     for state in done.problem.layout.coloured():
         sigma = np.broadcast_to(np.asarray(state.sigma), (state.size,))
-        unit = "m" if state.name.endswith("drift") else "m/s"
-        out.append(Shown(f"{state.name}, {state.correlation_s:g} s", tuple(sigma.tolist()), (), unit))
+        unit = "m/s" if state.name.endswith(("rate", "slip")) else "m"
+        out.append(Shown(f"{state.name}, {state.correlation_s:.3g} s", tuple(sigma.tolist()), (), unit))
     return out

@@ -10,6 +10,12 @@ import numpy as np
 from ...records import Array
 
 CORE = ("attitude", "velocity", "position", "gyro bias", "accelerometer bias")
+TIME = " time"
+
+
+def time_of(name: str) -> str:
+    """Return the name among factors of the correlation time of a coloured group."""
+    return name + TIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +56,15 @@ class Layout:
         return tuple(s for s in self.states if s.correlation_s > 0.0)
 
     def scaled(self, factors: Mapping[str, float]) -> Layout:
-        """Return the layout with the sigmas of named groups times a factor."""
-        return layout(replace(s, sigma=s.sigma * factors.get(s.name, 1.0)) for s in self.states)
+        """Return the layout with sigmas of named groups times a factor, and correlation times by :func:`time_of`."""
+        return layout(
+            replace(
+                s,
+                sigma=s.sigma * factors.get(s.name, 1.0),
+                correlation_s=s.correlation_s * factors.get(time_of(s.name), 1.0),
+            )
+            for s in self.states
+        )
 
     def loosened(self, loose: Mapping[str, Array]) -> Layout:
         """Return the layout with other factors (n - 1,) on what drives the named groups."""
