@@ -33,6 +33,7 @@ from .stillness import (
 )
 
 FAST, FASTEST_RAD_S = 20.0, 0.2  # of the largest bias that is believed: where nothing else is quiet, one is asked about
+SENSOR = {"gyro_noise_density": "gyro", "accel_noise_density": "accelerometer"}
 AS_UNIT = 0.1  # how near a ratio of noise is to that of deg/s and rad/s
 LOUD = 3.0  # times the noise that is stated: no window of the log is as calm
 JUMP = math.radians(0.5)  # rad/s: a bias that jumps by more leaves the motion before it too wide open
@@ -164,7 +165,7 @@ def as_segments(still: Bools, t: Array, edges: Ints, shrink_s: float) -> tuple[S
 def louder(windows: Windows, t: Array, settings: Settings) -> dict[str, float]:
     """Return by how much even the calmest windows are noisier than is stated, per density; those that are."""
     stated = sensor_noise(windows, t, settings)
-    free = {"gyro_noise_density": None, "accel_noise_density": None}
+    free = dict.fromkeys(SENSOR)
     seen = sensor_noise(windows, t, settings.model_copy(update={"imu": settings.imu.model_copy(update=free)}))
     times = {name: own / wanted for name, own, wanted in zip(free, seen, stated, strict=True)}
     return {name: by for name, by in times.items() if by > LOUD}
@@ -173,8 +174,7 @@ def louder(windows: Windows, t: Array, settings: Settings) -> dict[str, float]:
 def too_loud(loud: Mapping[str, float], by_hand: str) -> list[Warn]:
     """Say that nothing is as calm as stated, and where it is by what deg/s taken for rad/s make of a rest."""
     said = " and ".join(
-        f"the {'gyro' if name.startswith('gyro') else 'accelerometer'} is {by:.3g} times as noisy as [imu] {name} states"
-        for name, by in loud.items()
+        f"the {SENSOR[name]} is {by:.3g} times as noisy as [imu] {name} states" for name, by in loud.items()
     )
     fact = f"no stop found in this log: at its calmest {said}"
     told = [Warn("no-stop", fact, f"mend what is stated; if something shook while it rested, {by_hand}")]

@@ -26,8 +26,8 @@ mixture of Gaussians in which each fix has a factor :math:`s_j` of its own on th
 .. math:: s_j=\max\Big(1,\frac{\nu+E[w_j^TQ_j^{-1}w_j]}{\nu+d}\Big)
 
 with :math:`w_j` the change of the error and its rate since the fix before, usually of covariance :math:`Q_j`. A stretch
-without fixes is many draws that nobody saw: there the mean of the factors counts, :math:`(\nu+d)/(\nu+d-2)` times that
-of the :math:`s_j`, which are inverse means of inverses.
+without fixes is many draws that nobody saw: there the mean of the factors counts, which is 1.16 times that of the
+:math:`s_j`: they are inverse means of inverses.
 Source: Lange, Little and Taylor 1989, "Robust statistical modeling using the t distribution".
 """
 

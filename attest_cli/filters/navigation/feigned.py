@@ -20,10 +20,11 @@ import numpy as np
 from ...maths import rotation
 from ...records import Warn
 from . import solve
+from .aids import Place, Velocity
 from .model import Trajectory
 from .problem import HEADING_SIGMA, NORTH_RAD, Problem, upright
 
-WEAK_RAD = 0.0175  # sigma of a heading from which on what noise feigns is no small part of what shows it
+EACH = 4.0  # information that a second with fixes would have to feign at least: it does a twelfth of that
 HELD_RAD, HELD = 1e-4, 1e-12  # sigma of a heading that is held; share of the variance of another state
 PASSES, TINY = 4, 1e-12
 SURE, BORNE_OUT = 3.0, 2.5  # sigmas from which on a state is believed: as the filter says, and as its costs do
@@ -47,13 +48,14 @@ def surveyed(problem: Problem, found: solve.Solution) -> Problem | None:
 
     three headings show all of it, also where the passes stopped far from :math:`\psi_0`.
     """
-    up = rotation.matrix(found.smoothed.q[:1])[0, 2]
-    variance = float(up @ found.errors.P[0, :3, :3] @ up)
-    if variance < WEAK_RAD**2:
+    up = rotation.matrix(found.smoothed.q)[:, 2]
+    variances = np.einsum("ki,kij,kj->k", up, found.errors.P[:, :3, :3], up)
+    seconds = max((len(np.unique(np.floor(a.t))) for a in problem.aids if isinstance(a, Place | Velocity)), default=0)
+    if variances.min() * EACH * seconds < 1.0:
         return None
     costs = np.array([_headed(problem, found, psi) for psi in THREE])
     wave = -2.0 / 3.0 * complex(np.sum(costs * np.exp(1j * THREE)))
-    known = max(1.0 / variance - HEADING_SIGMA**-2, 1e-9) / problem.inertial.slope**2
+    known = max(1.0 / variances[0] - HEADING_SIGMA**-2, 1e-9) / problem.inertial.slope**2
     by = max(LEAST_SLOPE, slope(known, 0.5 * abs(wave)))
     at = turned(found.smoothed, float(np.angle(wave)))
     return replace(

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from attest_cli.filters import Drive
 from attest_cli.filters.navigation import components
-from attest_cli.filters.navigation.aids import Place, scaled_sigma
+from attest_cli.filters.navigation.aids import UNSEEN, Place, scaled_sigma
 from attest_cli.filters.navigation.identify import stretch
 from attest_cli.filters.navigation.rounds import Navigated, navigate
 from attest_cli.filters.navigation.solve import forward, pile
@@ -145,6 +145,6 @@ def test_hidden_fixes_do_not_show_where_they_jumped() -> None:
     assert unseen is not None
     fix = np.searchsorted(node, np.arange(1, len(window.at.q)))
     among = np.isin(fix, np.flatnonzero(hidden))
-    np.testing.assert_allclose(unseen[among], 10.0 / 8.0 * usual.mean())
+    np.testing.assert_allclose(unseen[among], UNSEEN * usual.mean())
     deep = np.isin(fix, np.flatnonzero(~hidden & ~np.roll(hidden, 1)))
     np.testing.assert_array_equal(unseen[deep], usual[deep])
