@@ -2,7 +2,7 @@ r"""What noise feigns: how well motion alone shows the heading, and how late fix
 
 Both are found from the force that the IMU felt against the path of the fixes. Gauss-Newton takes the smoothed force for
 the true one, and finds an information :math:`I=I_0+m`, where :math:`m` is of the noise that is left in it. If that is
-much, the estimate scatters by (errors in variables; Fuller 1987, 1.2)
+much, the estimate scatters by (errors in variables; Fuller 1987, Measurement Error Models)
 
 .. math:: \sigma^2=\frac{I_0+2m}{I_0^2}=\frac1{s^2I}.
 
@@ -61,7 +61,7 @@ def surveyed(problem: Problem, found: solve.Solution) -> Problem | None:
     return replace(
         problem, at=at, inertial=replace(problem.inertial, slope=by),
         prior=(Trajectory(at.q[:1], problem.prior[0].x), problem.prior[1]),  # no knowledge: it must not draw
-        warnings=(*problem.warnings, *_weak(1.0 / (by * np.sqrt(known)))),
+        warnings=(*problem.warnings, *_weak(1.0 / np.sqrt(by**2 * known + HEADING_SIGMA**-2))),
     )  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def _weak(sigma: float) -> list[Warn]:
     """Say that the heading is hardly shown, where it is."""
     if sigma < NORTH_RAD:
         return []
-    message = f"the fixes hardly show where north is: to {min(np.degrees(sigma), 90.0):.0f} deg"
+    message = f"the fixes hardly show where north is: to {np.degrees(sigma):.0f} deg"
     return [Warn("north-not-shown", message, "a compass, or a livelier drive, shows it")]
 
 
