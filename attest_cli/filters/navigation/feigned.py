@@ -20,7 +20,7 @@ import numpy as np
 from ...maths import rotation
 from ...records import Warn
 from . import solve
-from .aids import Place, Velocity
+from .aids import Place, Velocity, Wheels
 from .model import Trajectory
 from .problem import HEADING_SIGMA, NORTH_RAD, Problem, upright
 
@@ -51,7 +51,8 @@ def surveyed(problem: Problem, found: solve.Solution) -> Problem | None:
     up = rotation.matrix(found.smoothed.q)[:, 2]
     variances = np.einsum("ki,kij,kj->k", up, found.errors.P[:, :3, :3], up)
     seconds = max((len(np.unique(np.floor(a.t))) for a in problem.aids if isinstance(a, Place | Velocity)), default=0)
-    if variances.min() * EACH * seconds < 1.0:
+    wheels = any(isinstance(a, Wheels) for a in problem.aids)  # show the heading by the path, of which little is noise
+    if wheels or variances.min() * EACH * seconds < 1.0:
         return None
     costs = np.array([_headed(problem, found, psi) for psi in THREE])
     wave = -2.0 / 3.0 * complex(np.sum(costs * np.exp(1j * THREE)))
