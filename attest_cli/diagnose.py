@@ -43,6 +43,7 @@ PLACES = (
     ("imu-not-finite", "values", "finite"),
     ("stale-repeats imu-held *stuck* *frozen*", "values", "repeats"),
     ("*-clipped", "values", "range"),
+    ("gyro-interval", "stamps", "samples"),
     ("gyro-coarse", "values", "resolution"),
     ("*spikes imu-zero-rows", "values", "spikes"),
     ("accel-scale accel-bias", "units", "gravity"),

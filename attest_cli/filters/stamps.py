@@ -26,8 +26,8 @@ def read_as(log: Log, settings: Settings) -> tuple[Settings, tuple[Warn, ...]]:
     ahead, sigma = lead(log)
     late = ahead > SURE * sigma and abs(ahead - HALF) < NEAR
     chosen = settings.imu.model_copy(update={"gyro_samples": "interval" if late else "point"})
-    message = f"the magnetometer is {ahead:.2f} samples ahead of the gyro, whose samples are taken as means since the"
-    told = (Warn("gyro-interval", f"{message} stamp before", "[imu] gyro_samples states what they are"),) * late
+    message = f"the gyro is {ahead:.2f} samples behind the magnetometer: its samples are taken as means since the stamp"
+    told = (Warn("gyro-interval", f"{message} before", "[imu] gyro_samples states what they are"),) * late
     return settings.model_copy(update={"imu": chosen}), told
 
 
@@ -71,7 +71,10 @@ def _stretches(log: Log) -> tuple[Array, Array] | None:
     width = max(2, round(STRETCH_S / period))
     count = len(imu.t) // width
     t, rate = imu.t[: count * width].reshape(count, width), imu.gyro_b[: count * width].reshape(count, width, 3)
-    whole = np.flatnonzero(t[:, -1] - t[:, 0] < WHOLE * STRETCH_S)
+    heard = t[:, -1] - t[:, 0] < WHOLE * STRETCH_S
+    if imu.gyro_added is not None:  # clipped, or a guess
+        heard &= ~np.any(imu.gyro_added[: count * width].reshape(count, width) > 0.0, axis=1)
+    whole = np.flatnonzero(heard)
     liveliest = np.argsort(-np.sum(np.var(rate[whole], axis=1), axis=1))
     use = np.sort(whole[liveliest[: max(FEW, MOST // width)]])
     if len(use) < FEW:

@@ -12,7 +12,7 @@ form". A step that goes on in the direction of the one before is taken longer.
 **Correlation times.** With what drives a coloured error held, its time :math:`T` acts through its transition alone,
 :math:`F=\partial\Phi/\partial\log T`, and one step of expectation and maximisation is
 
-.. math:: \delta\log T=\frac{-\sum_k\tilde\lambda^TFx+\mathrm{tr}(F^T\tilde\Lambda\Phi P)}
+.. math:: \delta\log T=\frac{-\sum_k[\tilde\lambda^TFx+\mathrm{tr}(F^T\tilde\Lambda\Phi P)]}
     {\sum_k\mathrm{tr}(F^TQ^{-1}F\,E[xx^T])},\qquad E[w\,x^T]=-Q(\tilde\lambda x^T+\tilde\Lambda\Phi P)
 
 with what is assumed as a prior: a time that the log does not show stays. Source: Shumway and Stoffer 1982, "An approach

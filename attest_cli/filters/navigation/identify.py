@@ -55,7 +55,7 @@ class Window:
         hidden = (shown.t - shown.t[0]) % (HIDDEN_S + BETWEEN_S) > BETWEEN_S
         if not hidden.any():
             return 1.0, 0.0, 1
-        P0, lin, placed = self._unseen(shown.node, hidden).under(factors)
+        P0, lin, placed = self._unseen(self.rows[at][0].role, shown.node, hidden).under(factors)
         aid, rows = placed[at]
         placed[at] = (aid, rows.where(~hidden))
         run = forward(P0, lin, pile(placed, len(self.at.q), self.form.size), np.zeros(self.form.size))
@@ -67,11 +67,12 @@ class Window:
         outages = len(np.unique((test.t - rows.t[0]) // (HIDDEN_S + BETWEEN_S)))
         return 0.5 * float(np.mean(squares)), -0.5 * float(np.sum(squares + np.linalg.slogdet(S)[1])), outages
 
-    def _unseen(self, node: Ints, hidden: Bools) -> Window:
-        """Return the window where ``hidden`` fixes at ``node`` do not show what jumps: the mean factor counts there."""
+    def _unseen(self, role: str, node: Ints, hidden: Bools) -> Window:
+        """Return the window where ``hidden`` fixes of ``role`` at ``node`` show no jumps: the mean factor counts."""
         fix, gone = np.searchsorted(node, np.arange(1, len(self.at.q))), np.append(hidden, False)
         between = gone[fix] | gone[fix - 1]
-        loose = {s.name: s.loose for s in self.form.states if s.loose is not None}
+        named = {s.name: s.loose for s in self.form.states if s.name.startswith(f"{role} drift")}
+        loose = {name: of for name, of in named.items() if of is not None}
         return self.loosened({name: np.where(between, UNSEEN * of.mean(), of) for name, of in loose.items()})
 
     def loosened(self, loose: Mapping[str, Array]) -> Window:
@@ -132,7 +133,7 @@ def widened(
     for _ in range(MOST_STEPS):
         if square <= TOO_FAR:
             break
-        trials = [{**out, name: out[name] * WIDER} for name in _slow(out, aids)]
+        trials = [out | {tied: out[tied] * WIDER for tied in out if _level(tied) == name} for name in _slow(out, aids)]
         judged = [window.withheld(trial) for trial in trials]
         k = int(np.argmax([likely for _, likely, _ in judged]))
         if square < 1.0 + CHANCE / np.sqrt(outages) and judged[k][1] < best + WORTH:

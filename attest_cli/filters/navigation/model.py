@@ -83,7 +83,8 @@ def linearise(inertial: Inertial, layout: Layout, at: Trajectory, *, smoothed: b
 
     What is left of the motion, :math:`u_k`, is taken in the axes of the body, so its slope to the attitude is that of
     the motion which the trajectory makes, :math:`R_k^T(v_{k+1}-v_k-gT)` for the force, and no noise of the IMU feigns
-    a turn that shows scale or heading. A trajectory that is not ``smoothed`` yet makes none: its slope is the IMU's.
+    a turn that shows scale or heading. A trajectory that is not ``smoothed`` yet makes none: force and rate then are
+    those of the IMU.
     """
     corrected, force0, force1 = _corrected(inertial, layout, at)
     measured = strapdown.preintegrate(corrected, force0, force1)

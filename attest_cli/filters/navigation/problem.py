@@ -90,9 +90,7 @@ def assemble(
             heading = "absolute"
             q = rotation.multiply(rotation.exp_quaternion(turn[:, None] * [0.0, 0.0, 1.0]), q)
         else:
-            doubts.append(
-                Warn("north-not-shown", "the fixes do not show where north is: heading counts from the start")
-            )
+            doubts.append(no_north())
     aids, states = _inertial_aids(drive, nodes), _core_states(drive)
     field, north = None, 0.0
     if "magnetometer" in drive.log.fixes:
@@ -163,6 +161,12 @@ def _headed(
     if len(level) > 2:  # what is stated may be too small
         noise = max(noise, float(np.median(np.abs(np.diff(level, 2, axis=0)))) * MAD / np.sqrt(6.0))
     return turn, sigma < NORTH_RAD or went > WENT * noise
+
+
+def no_north() -> Warn:
+    """Say that heading is relative in spite of fixes."""
+    return Warn("north-not-shown", "the fixes do not show where north is: heading counts from the start",
+                "a compass or a livelier drive would")  # fmt: skip
 
 
 def _mirrored(role: str) -> Warn:

@@ -16,7 +16,7 @@ from .. import Drive, Forward, indirect
 from ..wheeled import believed, smoothed
 from . import colours, components, feigned, solve
 from .aids import Place, Wheels
-from .feigned import BORNE_OUT, SURE
+from .feigned import SURE
 from .fixes import epochs_of
 from .identify import identify, scaled_inertial, stretch, widened
 from .model import Inertial, Trajectory
@@ -50,9 +50,18 @@ class Learnt:
 
 
 @dataclass(frozen=True, slots=True)
+class Clock:
+    """How late fixes still are: ``lag``, s, whether that is ``sure``, and the ``slope`` of the state."""
+
+    lag: float
+    sure: bool
+    slope: float
+
+
+@dataclass(frozen=True, slots=True)
 class Navigated:
-    """A drive solved: where it ``begun``, its ``nodes``, the ``problem``, the solution ``found``, and what was
-    ``learnt``.
+    """A drive solved: where it ``begun``, its ``nodes``, the ``problem``, the solution ``found``, what was ``learnt``,
+    and what is left of its ``clocks``.
     """
 
     begun: Forward
@@ -60,6 +69,7 @@ class Navigated:
     problem: Problem
     found: solve.Solution
     learnt: Learnt
+    clocks: Mapping[str, Clock] = field(default_factory=dict)
 
 
 def navigate(drive: Drive) -> Navigated:
@@ -67,9 +77,8 @@ def navigate(drive: Drive) -> Navigated:
     learnt = Learnt(arms=_stated_arms(drive))
     done = _round(drive, learnt, None)
     for _ in range(ROUNDS - 1):
-        clocks = _clocks(done)
-        lags = _lags(clocks, done.learnt.lags)
-        slopes = {f"{role} lag": c.slope for role, c in clocks.items() if role not in lags and c.slope < STEEP}
+        lags = _lags(done.clocks, done.learnt.lags)
+        slopes = {f"{role} lag": c.slope for role, c in done.clocks.items() if role not in lags and c.slope < STEEP}
         slopes = {name: slope for name, slope in slopes.items() if name not in done.learnt.slopes}
         arms = {} if lags else _hidden_arms(done.problem, done.found)  # a lag hides them
         off = wider(known_offsets(drive, done))
@@ -102,10 +111,22 @@ def _round(drive: Drive, learnt: Learnt, before: Navigated | None) -> Navigated:
     problem, learnt = _with_noise(drive, problem, learnt, begin=before is None)
     found = _solved(drive, problem)
     if begun.run.heading == "relative" and problem.heading == "absolute":
-        surer = feigned.surveyed(problem, found)
-        if surer is not None:
-            problem, found = surer, _solved(drive, surer)
-    return Navigated(begun, nodes, problem, found, learnt)
+        problem, found = _headed(drive, problem, found)
+    done = Navigated(begun, nodes, problem, found, learnt)
+    return replace(done, clocks=_clocks(done))
+
+
+def _headed(drive: Drive, problem: Problem, found: solve.Solution) -> tuple[Problem, solve.Solution]:
+    """Return problem and solution with what the fixes really show of the heading."""
+    survey = feigned.surveyed(problem, found)
+    if survey is None:
+        return problem, found
+    problem, sigma = survey
+    found = _solved(drive, problem)
+    if problem.heading == "absolute":
+        problem = feigned.kept(problem, found, sigma)
+        found = _solved(drive, problem)
+    return problem, found
 
 
 def _spaced(drive: Drive) -> Settings:
@@ -215,15 +236,6 @@ def _solved(drive: Drive, problem: Problem) -> solve.Solution:
     return solve.solve(problem.layout, problem.prior, problem.inertial, problem.aids, problem.at, most, problem.tune)
 
 
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """How late fixes still are: ``lag``, s, whether that is ``sure``, and the ``slope`` of the state."""
-
-    lag: float
-    sure: bool
-    slope: float
-
-
 def _clocks(done: Navigated) -> dict[str, Clock]:
     """Return the clocks of fixes that matter: those that seem late, and all where noise feigns much of the heading."""
     problem, found, out = done.problem, done.found, {}
@@ -233,7 +245,7 @@ def _clocks(done: Navigated) -> dict[str, Clock]:
             if problem.inertial.slope < 1.0 or abs(lag) > max(LEAST_LAG_S, SURE * sigma):
                 role, doubt = name.removesuffix(" lag"), feigned.constant(problem, found, name)
                 on = lag * done.learnt.lags.get(role, 0.0) > 0.0  # the way that was borne out: costs are flat far off
-                sure = abs(lag) > LEAST_LAG_S and doubt.claimed > SURE and (on or doubt.borne_out > BORNE_OUT)
+                sure = abs(lag) > LEAST_LAG_S and doubt.claimed > SURE and (on or doubt.borne_out > SURE)
                 out[role] = Clock(lag, sure, doubt.slope)
     return out
 
@@ -245,7 +257,7 @@ def _lags(clocks: Mapping[str, Clock], known: Mapping[str, float]) -> dict[str, 
 
 def left_lags(done: Navigated) -> dict[str, float]:
     """Return how late, s, fixes would be that are later than a receiver can be: they were not moved by that."""
-    whole = {role: done.learnt.lags.get(role, 0.0) + clock.lag for role, clock in _clocks(done).items() if clock.sure}
+    whole = {role: done.learnt.lags.get(role, 0.0) + clock.lag for role, clock in done.clocks.items() if clock.sure}
     return {role: lag for role, lag in whole.items() if abs(lag) >= MOST_LAG_S}
 
 

@@ -139,7 +139,7 @@ def test_hidden_fixes_do_not_show_where_they_jumped() -> None:
     hidden = np.arange(len(node)) // 10 % 2 == 1
     usual, unseen = (
         next(s.loose for s in w.form.states if s.name == "position drift")
-        for w in (window, window._unseen(node, hidden))
+        for w in (window, window._unseen("position", node, hidden))
     )
     assert usual is not None
     assert unseen is not None
