@@ -40,10 +40,11 @@ def test_husky_with_gravity_on_y(shared_data: Path, smooth: Callable[..., Any]) 
 def test_husky_with_its_fixes(shared_data: Path, smooth: Callable[..., Any]) -> None:
     """A log with positions goes to the navigation smoother by itself."""
     log = real(shared_data, "logs/derived_mcap/test1_ros2_zstd.mcap")
-    report = smooth(log, "--start", "200", "--end", "245").report
+    result = smooth(log, "--start", "200", "--end", "245")
+    report = result.report
     assert (report["methods"]["filter"], report["methods"]["position"]) == ("navigation", "navigation")
     assert {"gps drift", "gyro noise in motion"} <= {found["name"].split(",")[0] for found in report["shown"]}
-    assert report["heading"] == "absolute"  # from where the fixes went
+    assert (report["heading"] == "relative") == ("north-not-shown" in result.codes)  # slow, and the fixes wander
 
 
 def test_phidgets_upside_down(shared_data: Path, smooth: Callable[..., Any]) -> None:
