@@ -29,9 +29,7 @@ PASSES, TINY = 4, 1e-12
 LEAST = 1e-3  # slope of what is not shown at all
 SURE = 3.0  # sigmas from which on a state is believed
 THREE = 2.0 * np.pi / 3.0 * np.arange(3)  # rad: turns that a cosine is found from
-NOT_SHOWN = float(
-    np.sqrt(2.0 * np.log(100.0))
-)  # times sqrt(I): noise alone makes an A/2 as large once in a hundred logs
+NOT_SHOWN = float(np.sqrt(2.0 * np.log(100.0)))  # I_0 / sqrt(I) that noise alone makes once in a hundred logs
 
 
 def slope(known: float, shown: float) -> float:
