@@ -58,6 +58,8 @@ def moved(drive: Drive) -> bool:
 
 def axes_words(drive: Drive) -> str:
     """What the axes of the plan are."""
+    if any(warning["code"] == "north-not-shown" for warning in drive.report.get("warnings", [])):
+        return "m, axes of the fixes"  # which gave the place, if not the heading
     if drive.relative:
         return "m, turned by an unknown heading"
     return "ENU, m"

@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 
 from attest_cli import figures
-from attest_cli.figures import frame, gyro_bias, innovations, lists, overview, plan, rows, separation, sigma, style
+from attest_cli.figures import (
+    frame,
+    gyro_bias,
+    innovations,
+    lists,
+    overview,
+    plan,
+    plan_view,
+    rows,
+    separation,
+    sigma,
+    style,
+)
 from attest_cli.figures.drive import Drive
 from attest_cli.figures.page import Marks, Page, Shape
 from attest_cli.records import Innovations
@@ -284,3 +296,10 @@ def test_a_filter_that_takes_the_vehicle_as_level_speaks_of_heading(make):
     assert "tilt σ" not in texts(page)
     usual = overview.titles(Drive(result))[0]
     assert usual.startswith("Tilt known to ")
+
+
+def test_a_place_that_fixes_gave_is_in_their_axes_though_heading_is_relative(make):
+    result = make(**NO_HEADING)
+    told = [{"code": "north-not-shown", "message": "the fixes do not show where north is", "hint": "", "fatal": False}]
+    assert plan_view.axes_words(Drive(result)) == "m, turned by an unknown heading"
+    assert plan_view.axes_words(Drive(changed(result, {"warnings": told}))) == "m, axes of the fixes"
